@@ -1,0 +1,54 @@
+"""Edit neural fields f(x; theta) directly: geometric, rigid, smoothing, under hard constraints, with no mesh in between.
+
+The method is boundary sensitivity [Berzins, Ibing, Kobbelt: Neural Implicit Shape Editing using Boundary
+Sensitivity, ICLR 2023, arXiv:2304.12951].
+"""
+
+from implicit.evolve import Edit, EditStatus, evolve
+from implicit.extraction import SurfaceError, extract_mesh, project_to_surface
+from implicit.field import Field, Units, decoder_field, load_field, save_field
+from implicit.functionals import Area, Functional, SurfaceIntegral, Volume, VolumeIntegral
+from implicit.geometric import geometric_edit
+from implicit.models import Siren
+from implicit.regions import Along, Ball, Box, HalfSpace, Handle, NearPoints, Region, RigidMotion
+from implicit.rigid import rigid_edit
+from implicit.sensitivity import adjoint, basis, normal_displacement
+from implicit.smoothing import smooth
+from implicit.surface import SurfaceSample, sample_surface, surface_quadrature
+
+__all__ = [
+    "Along",
+    "Area",
+    "Ball",
+    "Box",
+    "Edit",
+    "EditStatus",
+    "Field",
+    "Functional",
+    "HalfSpace",
+    "Handle",
+    "NearPoints",
+    "Region",
+    "RigidMotion",
+    "Siren",
+    "SurfaceError",
+    "SurfaceIntegral",
+    "SurfaceSample",
+    "Units",
+    "Volume",
+    "VolumeIntegral",
+    "adjoint",
+    "basis",
+    "decoder_field",
+    "evolve",
+    "extract_mesh",
+    "geometric_edit",
+    "load_field",
+    "normal_displacement",
+    "project_to_surface",
+    "rigid_edit",
+    "sample_surface",
+    "save_field",
+    "smooth",
+    "surface_quadrature",
+]

@@ -1,0 +1,160 @@
+"""What can move: displacements of the surface that an edit may choose from, all linear in a few unknowns.
+
+    D(x) = n u + (I - n n^T) T(x),    u = b . d_theta    normal part, spanned by the parameters
+                                      T = phi c          tangential part, spanned by a linear basis (optional)
+
+With s = u - n . T this is D = T + n s, so its Jacobian needs no derivative of the projection:
+
+    J = dT/dx + n (ds/dx)^T + s dn/dx
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from implicit.field import Field
+from implicit.sensitivity import normal_displacement, parameter_gradient, parameter_gradient_and_slope, row_blocks
+from implicit.tangential import TangentialModel
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """The surface's first and second derivatives at some of its points."""
+
+    points: Float[Tensor, "n d"]
+    gradients: Float[Tensor, "n d"]
+    lengths: Float[Tensor, " n"]  # |df/dx|
+    hessians: Float[Tensor, "n d d"]
+
+    @classmethod
+    def at(cls, field: Field, points: Float[Tensor, "n d"]) -> Frame:
+        """Evaluate the field there."""
+        gradients, hessians = field.gradient_and_hessian(points)
+        return cls(points, gradients, field.gradient_length(gradients), hessians)
+
+    @cached_property
+    def normals(self) -> Float[Tensor, "n d"]:
+        """Outward unit normals."""
+        return self.gradients / self.lengths[:, None]
+
+    @cached_property
+    def normal_slopes(self) -> Float[Tensor, "n d d"]:
+        """dn/dx, row i the slope of n_i; on the tangent plane it is the shape operator."""
+        scaled = self.hessians / self.lengths[:, None, None]
+        return scaled - self.normals[:, :, None] * torch.einsum("ni,nij->nj", self.normals, scaled)[:, None, :]
+
+    @cached_property
+    def axes(self) -> Float[Tensor, "n d d"]:
+        """Rows: an orthonormal basis of the tangent plane, then the normal."""
+        n = self.normals
+        if n.shape[1] == 2:
+            return torch.stack([torch.stack([-n[:, 1], n[:, 0]], dim=1), n], dim=1)
+        least = torch.nn.functional.one_hot(n.abs().argmin(dim=1), 3).to(n)
+        first = torch.nn.functional.normalize(torch.linalg.cross(n, least), dim=1)
+        return torch.stack([first, torch.linalg.cross(n, first), n], dim=1)
+
+
+class DeformationSpace:
+    """Displacements of a field's surface, linear in (d_theta, c).
+
+    Args:
+        field: Whose parameters span the normal part.
+        tangential: Basis of the tangential part; None allows normal motion alone.
+    """
+
+    def __init__(self, field: Field, tangential: TangentialModel | None = None) -> None:
+        self.field = field
+        self.tangential = tangential
+        self.parameters = len(field.theta)
+        self.size = self.parameters + (field.dimension * tangential.count if tangential is not None else 0)
+
+    def split(self, x: Float[Tensor, " s"]) -> tuple[Float[Tensor, " p"], Float[Tensor, "d k"] | None]:
+        """The unknowns as d_theta and the tangential coefficients, one row a coordinate."""
+        if self.tangential is None:
+            return x, None
+        return x[: self.parameters], x[self.parameters :].view(self.field.dimension, self.tangential.count)
+
+    def displacement(self, points: Float[Tensor, "n d"], x: Float[Tensor, " s"]) -> Float[Tensor, "n d"]:
+        """D at surface points, a length."""
+        d_theta, c = self.split(x)
+        n = self.field.normal(points)
+        moved = n * normal_displacement(self.field, points, d_theta)[:, None]
+        if c is not None and self.tangential is not None:
+            slide = self.tangential.values(points) @ c.T
+            moved = moved + slide - n * (n * slide).sum(dim=1, keepdim=True)
+        return moved
+
+    def normal_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k s"]]]:
+        """n . D as rows over the unknowns, in blocks of points."""
+        start = 0
+        for part in row_blocks(points, self.size):
+            length = self.field.gradient_length(self.field.gradient(part))
+            rows = parameter_gradient(self.field, part) / -length[:, None]
+            if self.size > self.parameters:
+                rows = torch.cat([rows, rows.new_zeros(len(part), self.size - self.parameters)], dim=1)
+            yield slice(start, start + len(part)), rows
+            start += len(part)
+
+    def vector_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k d s"]]]:
+        """All coordinates of D as rows over the unknowns, in blocks of points."""
+        start = 0
+        dimension = self.field.dimension
+        for part in row_blocks(points, dimension * self.size):
+            gradients = self.field.gradient(part)
+            length = self.field.gradient_length(gradients)
+            n = gradients / length[:, None]
+            rows = n[:, :, None] * (parameter_gradient(self.field, part) / -length[:, None])[:, None, :]
+            if self.tangential is not None:
+                phi = self.tangential.values(part)
+                flat = torch.eye(dimension, dtype=n.dtype, device=n.device) - n[:, :, None] * n[:, None, :]
+                slide = (flat[:, :, :, None] * phi[:, None, None, :]).flatten(2)
+                rows = torch.cat([rows, slide], dim=2)
+            yield slice(start, start + len(part)), rows
+            start += len(part)
+
+    def strain_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k d d s"]]]:
+        """J + J^T of D in the surface's own axes (tangents first, normal last), as rows over the unknowns."""
+        start = 0
+        d = self.field.dimension
+        for part in row_blocks(points, 2 * d * d * self.size):
+            frame = Frame.at(self.field, part)
+            axes, n, length = frame.axes, frame.normals, frame.lengths
+            q, dq = parameter_gradient_and_slope(self.field, part)
+            u = q / -length[:, None]
+            bend = torch.einsum("nij,nj->ni", frame.hessians, n) / length[:, None]  # slope of log |df/dx|
+            du = dq / -length[:, None, None] - u[:, None, :] * bend[:, :, None]
+            slope_of_n = _turned(frame.normal_slopes, axes)
+            s, ds = u, torch.einsum("nai,nip->nap", axes, du)
+            strain = torch.zeros(len(part), d, d, self.size, dtype=part.dtype, device=part.device)
+            theta = strain[..., : self.parameters]
+            _add_normal_part(theta, s, ds, slope_of_n)
+            if self.tangential is not None:
+                phi, dphi = self.tangential.values(part), self.tangential.slopes(part)
+                # s = -n . T, so its slope is -(dn/dx)^T T - (dT/dx)^T n; then the strain of T itself.
+                slide = strain[..., self.parameters :]
+                s_T = -n[:, :, None] * phi[:, None, :]
+                ds_T = -torch.einsum("nji,nk->nijk", frame.normal_slopes, phi) - n[:, None, :, None] * dphi[:, :, None, :]
+                turned = torch.einsum("nai,nijk->najk", axes, ds_T)
+                _add_normal_part(slide, s_T.flatten(1), turned.flatten(2), slope_of_n)
+                along = torch.einsum("nai,nik->nak", axes, dphi)
+                own = axes[:, :, None, :, None] * along[:, None, :, None, :]  # dT_a/dx_b
+                slide += (own + own.transpose(1, 2)).flatten(3)
+            yield slice(start, start + len(part)), strain
+            start += len(part)
+
+
+def _turned(matrix: Float[Tensor, "n d d"], axes: Float[Tensor, "n d d"]) -> Float[Tensor, "n d d"]:
+    return axes @ matrix @ axes.transpose(1, 2)
+
+
+def _add_normal_part(strain: Tensor, s: Tensor, ds: Tensor, slope_of_n: Tensor) -> None:
+    """Add n (ds)^T + (ds) n^T + 2 s sym(dn/dx), in axes where n is the last unit vector."""
+    strain[:, -1, :, :] += ds
+    strain[:, :, -1, :] += ds
+    strain += (slope_of_n + slope_of_n.transpose(1, 2))[..., None] * s[:, None, None, :]

@@ -1,0 +1,86 @@
+"""What a step minimises: each energy gives rows of the least squares over the unknowns of a deformation space.
+
+    E_C = int w (n . D - target)^2          reach a prescribed normal displacement       [paper, eq. 4, 5]
+    E_C = int w |D - target|^2              the same for whole vectors
+    E_K = int |J + J^T|^2                   stay rigid: zero for Killing fields           [paper, section 4.3]
+
+The integrals carry quadrature weights, so a result does not depend on how many points were drawn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from implicit.deformation import DeformationSpace
+from implicit.solve import Rows
+
+
+class Energy(Protocol):
+    """A quadratic energy of the displacement."""
+
+    def rows(self, space: DeformationSpace) -> Iterator[Rows]:
+        """Its weighted equations over the unknowns of the space, in blocks."""
+
+
+@dataclass(frozen=True, eq=False)
+class NormalTarget:
+    """E_C for motion along the normal: n . D = target at the points."""
+
+    points: Float[Tensor, "n d"]
+    target: Float[Tensor, " n"]
+    weights: Float[Tensor, " n"]
+
+    def rows(self, space: DeformationSpace) -> Iterator[Rows]:
+        for where, matrix in space.normal_rows(self.points):
+            yield Rows(matrix, self.target[where], self.weights[where])
+
+
+@dataclass(frozen=True, eq=False)
+class VectorTarget:
+    """E_C for whole vectors: D = target at the points."""
+
+    points: Float[Tensor, "n d"]
+    target: Float[Tensor, "n d"]
+    weights: Float[Tensor, " n"]
+
+    def rows(self, space: DeformationSpace) -> Iterator[Rows]:
+        dimension = self.points.shape[1]
+        for where, matrix in space.vector_rows(self.points):
+            weights = self.weights[where].repeat_interleave(dimension)
+            yield Rows(matrix.flatten(0, 1), self.target[where].reshape(-1), weights)
+
+
+@dataclass(frozen=True, eq=False)
+class Killing:
+    """E_K, the strain energy of the displacement, by parts.
+
+    Args:
+        points, weights: Quadrature of the surface.
+        bending: Weight of the mixed part, tangent with normal: it charges the turning of the normal against
+            the turning of the surface, and so resists bending. 1 is the paper's ambient energy.
+        thickness: Weight of the normal part, stretch across the surface. 1 is the paper's ambient energy.
+    """
+
+    points: Float[Tensor, "n d"]
+    weights: Float[Tensor, " n"]
+    bending: float = 1.0
+    thickness: float = 1.0
+
+    def rows(self, space: DeformationSpace) -> Iterator[Rows]:
+        d = self.points.shape[1]
+        for where, strain in space.strain_rows(self.points):
+            weights = self.weights[where]
+            for a in range(d):
+                for b in range(a, d):
+                    share = 1.0 if b < d - 1 else (self.bending if a < d - 1 else self.thickness)
+                    # Off the diagonal each entry stands twice in the matrix, so it counts twice.
+                    share = share if a == b else 2 * share
+                    if share > 0:
+                        matrix = strain[:, a, b]
+                        yield Rows(matrix, torch.zeros_like(weights), share * weights)

@@ -1,0 +1,139 @@
+"""Shape functionals: numbers that belong to a surface, and how they change with the parameters.
+
+    volume integral  H = int_inside h dV     dH/dtheta = int h b dA                       [paper, eq. 7]
+    surface integral G = int_surface g dA    dG/dtheta = int (dg/dn + kappa g) b dA       [paper, eq. 7]
+
+b is the boundary sensitivity, kappa = div n. Volume is h = 1, area is g = 1. In the plane they are area and
+length. Any of them can be held fixed during an edit.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field as default
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from implicit.field import Field
+from implicit.sensitivity import adjoint
+from implicit.surface import SurfaceSample
+
+Density = Callable[[Tensor], Tensor]
+
+
+class Functional(ABC):
+    """A number that belongs to a surface. `target` is the value to hold; None holds the value at the start."""
+
+    target: float | None
+
+    @property
+    def name(self) -> str:
+        """What it is called in records."""
+        return type(self).__name__.lower()
+
+    @abstractmethod
+    def value(self, field: Field, sample: SurfaceSample) -> float:
+        """The functional of the field's surface, integrated over the sample."""
+
+    @abstractmethod
+    def shape_gradient(self, field: Field, sample: SurfaceSample) -> Float[Tensor, " n"]:
+        """Its change per unit of outward motion and of area, at each point."""
+
+    def sensitivity(self, field: Field, sample: SurfaceSample) -> Float[Tensor, " p"]:
+        """Its derivative by each parameter, (P,): the shape gradient carried to the parameters by B^T."""
+        return adjoint(field, sample.points, sample.weights * self.shape_gradient(field, sample))
+
+
+@dataclass(frozen=True)
+class Volume(Functional):
+    """Volume inside the surface (area inside the curve, in the plane), by the divergence theorem."""
+
+    target: float | None = None
+
+    def value(self, field: Field, sample: SurfaceSample) -> float:
+        return float(volume_terms(sample).sum())
+
+    def shape_gradient(self, field: Field, sample: SurfaceSample) -> Tensor:
+        return torch.ones_like(sample.weights)
+
+
+@dataclass(frozen=True)
+class Area(Functional):
+    """Area of the surface (length of the curve, in the plane)."""
+
+    target: float | None = None
+
+    def value(self, field: Field, sample: SurfaceSample) -> float:
+        return float(sample.weights.sum())
+
+    def shape_gradient(self, field: Field, sample: SurfaceSample) -> Tensor:
+        return field.mean_curvature(sample.points)
+
+
+@dataclass(frozen=True, eq=False)
+class VolumeIntegral(Functional):
+    """Integral of a density over the inside.
+
+    Args:
+        h: From points (N, D) to values (N,), smooth on the whole of the field's bounds, not on the inside alone.
+        target: The value to hold; None holds the value at the start.
+        nodes: Gauss points along each ray in the antiderivative; exact for polynomials h of degree up to
+            2 nodes - D.
+    """
+
+    h: Density
+    target: float | None = None
+    nodes: int = default(default=8)
+
+    def value(self, field: Field, sample: SurfaceSample) -> float:
+        # The field F(x) = (x - c) int_0^1 t^(D-1) h(c + t (x - c)) dt has div F = h, so int h = int F . n.
+        center = field.bounds.mean(dim=0)
+        arm = sample.points - center
+        gauss, weight = np.polynomial.legendre.leggauss(self.nodes)
+        total = torch.zeros_like(sample.weights)
+        for t, w in zip((gauss + 1) / 2, weight / 2, strict=True):
+            total += w * t ** (field.dimension - 1) * _density(self.h, center + t * arm, "h")
+        return sample.integrate(total * (arm * sample.normals).sum(dim=1))
+
+    def shape_gradient(self, field: Field, sample: SurfaceSample) -> Tensor:
+        return _density(self.h, sample.points, "h")
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceIntegral(Functional):
+    """Integral of a density over the surface.
+
+    Args:
+        g: From points (N, D) to values (N,), differentiable by torch.
+        target: The value to hold; None holds the value at the start.
+    """
+
+    g: Density
+    target: float | None = None
+
+    def value(self, field: Field, sample: SurfaceSample) -> float:
+        return sample.integrate(_density(self.g, sample.points, "g"))
+
+    def shape_gradient(self, field: Field, sample: SurfaceSample) -> Tensor:
+        with torch.enable_grad():
+            x = sample.points.detach().requires_grad_()
+            values = _density(self.g, x, "g")
+            slope = torch.autograd.grad(values.sum(), x)[0] if values.requires_grad else torch.zeros_like(x)
+        return (slope * sample.normals).sum(dim=1) + field.mean_curvature(sample.points) * values.detach()
+
+
+def volume_terms(sample: SurfaceSample) -> Float[Tensor, " n"]:
+    """Each point's share x . n / D of the volume, about the centroid so that distant shapes lose no digits."""
+    center = (sample.weights @ sample.points) / sample.weights.sum()
+    return sample.weights * ((sample.points - center) * sample.normals).sum(dim=1) / sample.points.shape[1]
+
+
+def _density(function: Density, points: Tensor, name: str) -> Tensor:
+    values = function(points)
+    if values.shape != points.shape[:1]:
+        raise ValueError(f"{name} must give one value a point, shape ({len(points)},), but gave {tuple(values.shape)}.")
+    return values

@@ -1,0 +1,81 @@
+"""A plain perceptron with softplus or ReLU, started near the distance to a sphere.
+
+Source of the start: Atzmon and Lipman, "SAL: Sign agnostic learning of shapes from raw data", CVPR 2020, theorem 1:
+with hidden weights of variance 2 / width, equal weights sqrt(pi / width) in the last layer and its bias -r, the
+network of ReLUs is close to |x| - r.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any, Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+
+class Mlp(nn.Module):
+    """Points (N, D) to values (N,) through hidden layers of softplus or ReLU.
+
+    Args:
+        dimension: D, 2 or 3.
+        width: Units in each hidden layer.
+        depth: Hidden layers.
+        activation: "softplus", infinitely often differentiable, or "relu", whose normals jump and whose curvature
+            is zero almost everywhere.
+        sharpness: The softplus is log(1 + exp(sharpness x)) / sharpness; it bends within about 1 / sharpness.
+        generator: Source of the initial weights; None takes torch's global one.
+    """
+
+    def __init__(
+        self,
+        dimension: int = 3,
+        width: int = 512,
+        depth: int = 8,
+        *,
+        activation: Literal["softplus", "relu"] = "softplus",
+        sharpness: float = 100.0,
+        generator: torch.Generator | None = None,
+    ) -> None:
+        super().__init__()
+        if dimension not in (2, 3) or width < 1 or depth < 1:
+            raise ValueError(
+                f"Mlp needs dimension 2 or 3, width and depth of at least 1, but got {dimension}, {width}, {depth}."
+            )
+        if activation not in ("softplus", "relu") or not sharpness > 0:
+            raise ValueError(
+                f'Mlp needs activation "softplus" or "relu" and a positive sharpness, but got {activation!r}, {sharpness}.'
+            )
+        self.activation = activation
+        self.sharpness = float(sharpness)
+        widths = [dimension] + [width] * depth + [1]
+        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(widths))
+        with torch.no_grad():
+            for layer in self.layers[:-1]:
+                layer.weight.normal_(0, (2 / layer.out_features) ** 0.5, generator=generator)
+                layer.bias.zero_()
+            self.layers[-1].weight.fill_((torch.pi / width) ** 0.5)
+            self.layers[-1].bias.fill_(-0.5)
+
+    def forward(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
+        """Values at the points."""
+        h = points
+        for layer in self.layers[:-1]:
+            h = layer(h)
+            h = torch.relu(h) if self.activation == "relu" else nn.functional.softplus(h, self.sharpness)
+        return self.layers[-1](h).squeeze(-1)
+
+    def describe(self) -> dict[str, Any]:
+        """How to make this network again."""
+        first = self.layers[0]
+        return {
+            "name": "mlp",
+            "arguments": {
+                "dimension": first.in_features,
+                "width": first.out_features,
+                "depth": len(self.layers) - 1,
+                "activation": self.activation,
+                "sharpness": self.sharpness,
+            },
+        }

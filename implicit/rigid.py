@@ -1,0 +1,155 @@
+"""Rigid editing: the handles go where they are told, and the rest follows as rigidly as the field allows.
+
+Each step minimises E_K + alpha E_C over the parameters and the coefficients of a tangential basis together
+[paper, section 4.3]: E_K = int |J + J^T|^2 is zero just for infinitesimal rigid motions (Killing fields). The paper
+trains a second network for the tangential part; a linear basis makes each step one least squares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from implicit.deformation import DeformationSpace
+from implicit.energies import Killing, VectorTarget
+from implicit.evolve import Edit, Progress, Row, State, StepProblem, evolve
+from implicit.field import Field
+from implicit.functionals import Functional
+from implicit.regions import Handle
+from implicit.solve import RELATIVE_DAMPING
+from implicit.surface import SurfaceSample, sample_surface
+from implicit.tangential import CosineFeatures, TangentialModel
+
+
+def rigid_edit(
+    field: Field,
+    handles: Sequence[Handle],
+    *,
+    steps: int = 1,
+    alpha: float = 1e4,
+    bending: float = 1.0,
+    thickness: float = 1.0,
+    tangential: TangentialModel | None = None,
+    points: int | SurfaceSample = 2000,
+    damping: float | None = None,
+    constraints: Sequence[Functional] = (),
+    resolution: int = 48,
+    track: Float[Tensor, "m d"] | None = None,
+    progress: Progress | None = None,
+    seed: int = 0,
+) -> Edit:
+    """Move handles and let the rest follow rigidly.
+
+    Args:
+        field: A field in 3D; the caller's own stays as it is until `edit.field.write_back()`.
+        handles: Regions with their motions, anchors among them as zero vectors. Weights scale the penalty.
+        steps: Sub-steps; handles with a RigidMotion rotate along their path. Take one per 15 degrees or so.
+        alpha: Weight of the handles' squared error against the strain energy, per squared length. Both energies are
+            integrals over the surface.
+        bending, thickness: Weights of the parts of E_K (see implicit.energies.Killing); 1 is the paper's energy.
+        tangential: Basis of the motion along the surface; None takes 400 cosine features.
+        points: How many points carry the energies, or the sample itself.
+        damping: Relative penalty on the unknowns, in units of the trace of the normal matrix; None is 1e-12 in
+            float64, 1e-7 in float32.
+        constraints: Functionals to hold, such as Volume().
+        resolution: Of the quadrature that measures the constraints.
+        track: Further surface points (M, D) to carry along.
+        progress: Called after each step.
+        seed: Of the random points and features.
+
+    Raises:
+        ValueError: The field is not 3D, a region misses the surface, or the handles leave a rigid motion free
+            (fewer than three points that are not on one line).
+    """
+    if field.dimension != 3:
+        raise ValueError(f"rigid_edit needs a field in 3 dimensions, but this one has {field.dimension}.")
+    if steps < 1:
+        raise ValueError(f"steps must be at least 1, but is {steps}.")
+    sample = points if isinstance(points, SurfaceSample) else sample_surface(field, points, seed=seed)
+    operation = _Rigid(
+        list(handles),
+        sample,
+        steps,
+        alpha,
+        (bending, thickness),
+        CosineFeatures(field, seed=seed) if tangential is None else tangential,
+        damping,
+    )
+    return evolve(
+        field,
+        operation,
+        sample,
+        steps=steps,
+        constraints=constraints,
+        resolution=resolution,
+        track=track,
+        wanted=operation.wanted(),
+        progress=progress,
+    )
+
+
+class _Rigid:
+    def __init__(
+        self,
+        handles: list[Handle],
+        sample: SurfaceSample,
+        steps: int,
+        alpha: float,
+        shares: tuple[float, float],
+        tangential: TangentialModel,
+        damping: float | None,
+    ) -> None:
+        self._handles, self._sample, self._steps, self._alpha = handles, sample, steps, alpha
+        self._bending, self._thickness = shares
+        self._tangential, self._damping = tangential, damping
+        self._weights = [handle.weights(sample.points) for handle in handles]
+        self._total = torch.stack(self._weights).sum(dim=0) if handles else torch.zeros_like(sample.weights)
+        for k, weights in enumerate(self._weights):
+            if not bool((weights > 0).any()):
+                raise ValueError(
+                    f"No point of the surface lies in the region of handles[{k}]. The surface spans "
+                    f"{sample.points.amin(dim=0).tolist()} to {sample.points.amax(dim=0).tolist()}; move or widen it."
+                )
+        held = sample.points[self._total > 0]
+        _require_rigid_motion_fixed(held)
+
+    def goal(self, fraction: float) -> Tensor:
+        """Where the held points are to be after the fraction; where handles overlap, their weighted mean."""
+        total = torch.zeros_like(self._sample.points)
+        for handle, weights in zip(self._handles, self._weights, strict=True):
+            total += weights[:, None] * handle.position(fraction, self._sample.points, self._sample.normals)
+        return total / self._total.clamp(min=torch.finfo(total.dtype).tiny)[:, None]
+
+    def wanted(self) -> Tensor:
+        """The whole displacement of the held points; NaN elsewhere."""
+        whole = self.goal(1.0) - self._sample.points
+        return torch.where((self._total > 0)[:, None], whole, torch.full_like(whole, float("nan")))
+
+    def step(self, state: State) -> StepProblem:
+        space = DeformationSpace(state.field, self._tangential)
+        held = self._total > 0
+        target = (self.goal((state.step + 1) / self._steps) - state.points)[held]
+        reach = VectorTarget(
+            state.points[held], target, self._alpha * (self._sample.weights * self._total.clamp(max=1))[held]
+        )
+        strain = Killing(state.points, self._sample.weights, self._bending, self._thickness)
+        relative = self._damping
+        if relative is None:
+            relative = 1e-12 if state.field.dtype == torch.float64 else RELATIVE_DAMPING[state.field.dtype]
+        return StepProblem(space, [strain, reach], relative_damping=relative)
+
+    def finished(self, state: State, history: Sequence[Row]) -> bool:
+        return False
+
+
+def _require_rigid_motion_fixed(points: Tensor) -> None:
+    """Three points off one line pin all six rigid motions; fewer leave the least squares singular."""
+    spread = torch.linalg.svdvals((points - points.mean(dim=0)).double()) if len(points) >= 3 else None
+    if spread is None or not bool(spread[1] > 1e-6 * spread[0]):
+        raise ValueError(
+            f"The handles hold {len(points)} sample points, which do not fix a rigid motion: at least three that are not "
+            "on one line are needed. Widen the regions, add an anchor, or raise points."
+        )

@@ -1,0 +1,123 @@
+"""How the surface moves when the parameters of the field move.
+
+Moving theta by d_theta moves each point of the surface f(x; theta) = 0 outward by
+
+    d_n = b . d_theta,    b(x) = -(df/dtheta) / |df/dx|          [Berzins et al. 2023, eq. 3]
+
+The matrix B with rows b(x_i) is never needed whole: `normal_displacement` is its product with a parameter
+change, `adjoint` that of its transpose with weights at the points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.func import grad, jvp, vmap
+
+from implicit.field import CHUNK, Field
+
+# Numbers in the largest block of B made at once: 64 MB in float64, which the caches of the linear algebra like.
+BLOCK = 8_000_000
+
+
+def basis(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n p"]:
+    """Outward speed of each surface point per unit of each parameter, B (paper, eq. 3).
+
+    Row i is -(df/dtheta) / |df/dx| at points[i]. Multiplying f by a positive constant changes nothing.
+
+    Args:
+        field: A field with p parameters; it need not be a distance.
+        points: Points (N, D) on the surface.
+
+    Returns:
+        Length per unit of parameter, (N, P). For large N times P use `normal_displacement` and `adjoint`.
+
+    Raises:
+        ValueError: The gradient vanishes at a point.
+    """
+    points = field.require_points(points)
+    blocks = [basis_block(field, part) for part in row_blocks(points, len(field.theta))]
+    return torch.cat(blocks) if blocks else points.new_zeros(0, len(field.theta))
+
+
+def basis_block(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n p"]:
+    """As `basis`, in one piece."""
+    length = field.gradient_length(field.gradient(points))
+    return parameter_gradient(field, points) / -length[:, None]
+
+
+def parameter_gradient(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n p"]:
+    """df/dtheta at each point."""
+    return vmap(grad(_at_one_point(field)), in_dims=(None, 0))(field.theta, points)
+
+
+def normal_displacement(
+    field: Field, points: Float[Tensor, "n d"], d_theta: Float[Tensor, " p"]
+) -> Float[Tensor, " n"]:
+    """Outward motion B d_theta of surface points, a length, without making B.
+
+    Raises:
+        ValueError: The gradient vanishes at a point, or d_theta has another size than theta.
+    """
+    points = field.require_points(points)
+    if d_theta.shape != field.theta.shape:
+        raise ValueError(f"d_theta must have shape {tuple(field.theta.shape)}, but has {tuple(d_theta.shape)}.")
+    length = field.gradient_length(field.gradient(points))
+    change = [
+        jvp(lambda theta, part=part: field.function(theta, part), (field.theta,), (d_theta.to(field.theta),))[1]
+        for part in points.split(CHUNK)
+    ]
+    return -torch.cat(change) / length if change else points.new_zeros(0)
+
+
+def adjoint(
+    field: Field,
+    points: Float[Tensor, "n d"],
+    weights: Float[Tensor, " n"],
+    lengths: Float[Tensor, " n"] | None = None,
+) -> Float[Tensor, " p"]:
+    """B^T weights: the sum of weights[i] b(points[i]), by one backward pass.
+
+    Args:
+        lengths: |df/dx| at the points, where the caller has it already.
+    """
+    points = field.require_points(points)
+    if lengths is None:
+        lengths = field.gradient_length(field.gradient(points))
+    scaled = -weights / lengths
+    total = torch.zeros_like(field.theta)
+    theta = field.theta.detach().requires_grad_()
+    with torch.enable_grad():
+        for part, share in zip(points.split(CHUNK), scaled.split(CHUNK), strict=True):
+            (gradient,) = torch.autograd.grad(field.function(theta, part) @ share, theta)
+            total += gradient
+    return total
+
+
+def parameter_gradient_and_slope(
+    field: Field, points: Float[Tensor, "n d"]
+) -> tuple[Float[Tensor, "n p"], Float[Tensor, "n d p"]]:
+    """df/dtheta and its derivatives in space d(df/dtheta)/dx, forward over reverse, one direction at a time."""
+    gradient = grad(_at_one_point(field))
+
+    def one(theta: Tensor, point: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:
+        return jvp(lambda x: gradient(theta, x), (point,), (direction,))
+
+    along = vmap(vmap(one, in_dims=(None, None, 0)), in_dims=(None, 0, None))
+    values, slopes = along(field.theta, points, torch.eye(field.dimension, dtype=points.dtype, device=points.device))
+    return values[:, 0], slopes
+
+
+def row_blocks(points: Tensor, columns: int) -> Iterator[Tensor]:
+    """The points in parts whose rows of so many columns stay within BLOCK numbers."""
+    yield from points.split(max(1, BLOCK // max(columns, 1)))
+
+
+def _at_one_point(field: Field):  # type: ignore[no-untyped-def]  # torch.func needs a plain function
+    def value(theta: Tensor, point: Tensor) -> Tensor:
+        return field.function(theta, point[None])[0]
+
+    return value

@@ -1,0 +1,194 @@
+"""Points, normals and weights on the surface, so that an integral over it is a weighted sum.
+
+The quadrature replaces the marching-cubes triangles by six-node curved ones whose corners and mid-edge nodes
+all lie on f = 0, and integrates over each by a rule exact for polynomials of degree 4. Its error falls with
+the fourth power of the cell (measured on tori); flat triangles would give the second. In the plane the same
+is done with three-node curved segments.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from implicit.extraction import SurfaceError, marched_surface, newton_to_surface
+from implicit.field import Field
+
+# Six-point rule of degree 4 on the triangle (Dunavant 1985): two orbits (1 - 2a, a, a) and their weights.
+_TRIANGLE_ORBITS = ((0.445948490915965, 0.223381589678011), (0.091576213509771, 0.109951743655322))
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceSample:
+    """Points on the surface with outward unit normals and quadrature weights.
+
+    sum(weights) is the area (the length, in the plane), and sum(weights * g(points)) the integral of g.
+    """
+
+    points: Float[Tensor, "n d"]
+    normals: Float[Tensor, "n d"]
+    weights: Float[Tensor, " n"]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def integrate(self, density: Float[Tensor, " n"]) -> float:
+        """Integral over the surface of a density given at the points."""
+        return float(self.weights @ density)
+
+
+def surface_quadrature(field: Field, resolution: int = 64) -> SurfaceSample:
+    """A fourth-order quadrature of the surface.
+
+    Args:
+        field: In 3D, or in 2D for a curve.
+        resolution: Cells along the longest side of the bounds.
+
+    Returns:
+        Six points a triangle of the extracted mesh (three a segment in the plane), on the surface.
+
+    Raises:
+        SurfaceError: There is no surface in the bounds, it leaves them, or the gradient vanishes on it.
+    """
+    corners, cells = marched_surface(field, resolution)
+    reach = 2 * field.size / resolution
+    nodes = _with_middle_nodes(field, corners, cells, reach)
+    points, weights = _curved_rule(nodes)
+    keep = weights > 0
+    return _placed(field, points[keep], weights[keep], reach)
+
+
+def sample_surface(
+    field: Field, n: int, *, resolution: int = 64, seed: int = 0, generator: torch.Generator | None = None
+) -> SurfaceSample:
+    """n random points, uniform over the area and evenly spread: one in each of n strips of equal area.
+
+    The strips follow a space-filling curve over the extracted mesh, so neighbours in the strip are neighbours
+    on the surface and the spread is far more even than that of independent points.
+
+    Args:
+        n: How many points.
+        resolution: Cells along the longest side of the bounds for the mesh that is sampled.
+        seed: Seed of the random choice, unless a generator is given.
+
+    Returns:
+        Points on the surface, each of weight area / n.
+    """
+    if n < 1:
+        raise ValueError(f"n must be at least 1 point, but is {n}.")
+    generator = torch.Generator().manual_seed(seed) if generator is None else generator
+    corners, cells = marched_surface(field, resolution)
+    corners = corners[cells[_space_filling_order(corners[cells].mean(dim=1), field)]]
+    area = _content(corners)
+    total = area.sum()
+    strip = torch.rand(n, generator=generator, dtype=torch.float64).to(field.theta)
+    place = (torch.arange(n, device=field.device) + strip) * (total / n)
+    face = torch.searchsorted(area.cumsum(0), place).clamp(max=len(area) - 1)
+    points = (_uniform_barycentric(n, field.dimension, generator).to(field.theta)[:, :, None] * corners[face]).sum(1)
+    return _placed(field, points, (total / n).expand(n).clone(), 2 * field.size / resolution)
+
+
+def _placed(field: Field, points: Tensor, weights: Tensor, reach: float) -> SurfaceSample:
+    """The points moved the last bit to f = 0, with normals; the way is of higher order than the weights' error."""
+    points, arrived = newton_to_surface(field, points, reach=reach)
+    if not bool(arrived.all()):
+        lost = float(weights[~arrived].sum() / weights.sum())
+        if lost > 0.01:
+            raise SurfaceError(
+                f"{100 * lost:.1f} % of the surface could not be placed on f = 0. Refit the field, or raise resolution."
+            )
+        # Drop what cannot be placed and spread its share, at most a hundredth, over the rest.
+        points, weights = points[arrived], weights[arrived] / (1 - lost)
+    return SurfaceSample(points, field.normal(points), weights)
+
+
+def _with_middle_nodes(field: Field, corners: Tensor, cells: Tensor, reach: float) -> Tensor:
+    """Nodes of the curved cells (m, 6, 3): three corners, then the projected middles of edges 01, 12, 20."""
+    if field.dimension == 2:
+        start = corners[cells].mean(dim=1)
+        middle, arrived = newton_to_surface(field, start, reach=reach)
+        middle = torch.where(arrived[:, None], middle, start)
+        return torch.stack([corners[cells[:, 0]], corners[cells[:, 1]], middle], dim=1)
+    edges = torch.stack([cells, cells.roll(-1, dims=1)], dim=2).reshape(-1, 2)
+    # Both triangles at an edge must share its middle node, or the curved surface would tear.
+    code = edges.amin(dim=1) * len(corners) + edges.amax(dim=1)
+    unique, inverse = torch.unique(code, return_inverse=True)
+    ends = torch.stack([unique // len(corners), unique % len(corners)], dim=1)
+    start = corners[ends].mean(dim=1)
+    middle, arrived = newton_to_surface(field, start, reach=reach)
+    middle = torch.where(arrived[:, None], middle, start)
+    return torch.cat([corners[cells], middle[inverse].view(-1, 3, 3)], dim=1)
+
+
+def _curved_rule(nodes: Tensor) -> tuple[Tensor, Tensor]:
+    """Quadrature points (m * q, D) and weights of quadratic cells given by their nodes."""
+    shape, slopes, weights = _segment_rule() if nodes.shape[2] == 2 else _triangle_rule()
+    shape, slopes, weights = shape.to(nodes), slopes.to(nodes), weights.to(nodes)
+    points = torch.einsum("qk,mkd->mqd", shape, nodes)
+    tangents = torch.einsum("qkt,mkd->mqtd", slopes, nodes)
+    if nodes.shape[2] == 2:
+        content = tangents[:, :, 0].norm(dim=-1)
+    else:
+        content = torch.linalg.cross(tangents[:, :, 0], tangents[:, :, 1]).norm(dim=-1)
+    return points.reshape(-1, nodes.shape[2]), (content * weights).reshape(-1)
+
+
+def _triangle_rule() -> tuple[Tensor, Tensor, Tensor]:
+    """Shape functions (q, 6), their slopes along the two sides (q, 6, 2), and weights (q,) summing to 1/2."""
+    barycentric, weights = [], []
+    for a, w in _TRIANGLE_ORBITS:
+        for corner in range(3):
+            point = [a, a, a]
+            point[corner] = 1 - 2 * a
+            barycentric.append(point)
+            weights.append(w / 2)
+    L = torch.tensor(barycentric, dtype=torch.float64)
+    L0, L1, L2 = L.T
+    shape = torch.stack(
+        [L0 * (2 * L0 - 1), L1 * (2 * L1 - 1), L2 * (2 * L2 - 1), 4 * L0 * L1, 4 * L1 * L2, 4 * L2 * L0], dim=1
+    )
+    zero = torch.zeros_like(L0)
+    # Along side 1, L1 grows and L0 shrinks; along side 2, L2 grows and L0 shrinks.
+    first = torch.stack([1 - 4 * L0, 4 * L1 - 1, zero, 4 * (L0 - L1), 4 * L2, -4 * L2], dim=1)
+    second = torch.stack([1 - 4 * L0, zero, 4 * L2 - 1, -4 * L1, 4 * L1, 4 * (L0 - L2)], dim=1)
+    return shape, torch.stack([first, second], dim=2), torch.tensor(weights, dtype=torch.float64)
+
+
+def _segment_rule() -> tuple[Tensor, Tensor, Tensor]:
+    """Shape functions (3, 3) of start, end, middle, their slopes (3, 3, 1), and Gauss weights on [0, 1]."""
+    nodes, gauss = np.polynomial.legendre.leggauss(3)
+    t = torch.from_numpy((nodes + 1) / 2)
+    shape = torch.stack([(1 - t) * (1 - 2 * t), t * (2 * t - 1), 4 * t * (1 - t)], dim=1)
+    slopes = torch.stack([4 * t - 3, 4 * t - 1, 4 - 8 * t], dim=1)[:, :, None]
+    return shape, slopes, torch.from_numpy(gauss / 2)
+
+
+def _content(corners: Tensor) -> Tensor:
+    """Area of triangles (m, 3, 3), or length of segments (m, 2, 2)."""
+    if corners.shape[2] == 2:
+        return (corners[:, 1] - corners[:, 0]).norm(dim=1)
+    return torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=1) / 2
+
+
+def _uniform_barycentric(n: int, corners: int, generator: torch.Generator) -> Tensor:
+    """n points uniform in a triangle, or in a segment, as barycentric coordinates."""
+    u = torch.rand(n, 2, generator=generator, dtype=torch.float64)
+    if corners == 2:
+        return torch.stack([1 - u[:, 0], u[:, 0]], dim=1)
+    root = u[:, 0].sqrt()
+    return torch.stack([1 - root, root * (1 - u[:, 1]), root * u[:, 1]], dim=1)
+
+
+def _space_filling_order(centers: Tensor, field: Field) -> Tensor:
+    """Order along the Morton curve, ten bits a coordinate."""
+    unit = (centers - field.bounds[0]) / (field.bounds[1] - field.bounds[0])
+    cells = (unit.clamp(0, 1) * 1023).long()
+    code = torch.zeros(len(centers), dtype=torch.long, device=centers.device)
+    for bit in range(10):
+        for axis in range(field.dimension):
+            code |= ((cells[:, axis] >> bit) & 1) << (bit * field.dimension + axis)
+    return torch.argsort(code, stable=True)
