@@ -101,6 +101,18 @@ class DeformationSpace:
             yield slice(start, start + len(part)), rows
             start += len(part)
 
+    def normal_slope_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k t s"]]]:
+        """Slopes of n . D along the tangent axes (one in the plane, two in space) as rows over the unknowns."""
+        start = 0
+        for part in row_blocks(points, 2 * self.field.dimension * self.size):
+            frame = Frame.at(self.field, part)
+            _, du = _speed_and_slope(self.field, frame)
+            rows = torch.einsum("nai,nip->nap", frame.axes[:, :-1], du)
+            if self.size > self.parameters:
+                rows = torch.cat([rows, rows.new_zeros(*rows.shape[:2], self.size - self.parameters)], dim=2)
+            yield slice(start, start + len(part)), rows
+            start += len(part)
+
     def vector_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k d s"]]]:
         """All coordinates of D as rows over the unknowns, in blocks of points."""
         start = 0
@@ -124,11 +136,8 @@ class DeformationSpace:
         d = self.field.dimension
         for part in row_blocks(points, 2 * d * d * self.size):
             frame = Frame.at(self.field, part)
-            axes, n, length = frame.axes, frame.normals, frame.lengths
-            q, dq = parameter_gradient_and_slope(self.field, part)
-            u = q / -length[:, None]
-            bend = torch.einsum("nij,nj->ni", frame.hessians, n) / length[:, None]  # slope of log |df/dx|
-            du = dq / -length[:, None, None] - u[:, None, :] * bend[:, :, None]
+            axes, n = frame.axes, frame.normals
+            u, du = _speed_and_slope(self.field, frame)
             slope_of_n = _turned(frame.normal_slopes, axes)
             s, ds = u, torch.einsum("nai,nip->nap", axes, du)
             strain = torch.zeros(len(part), d, d, self.size, dtype=part.dtype, device=part.device)
@@ -147,6 +156,14 @@ class DeformationSpace:
                 slide += (own + own.transpose(1, 2)).flatten(3)
             yield slice(start, start + len(part)), strain
             start += len(part)
+
+
+def _speed_and_slope(field: Field, frame: Frame) -> tuple[Float[Tensor, "n p"], Float[Tensor, "n d p"]]:
+    """u = b and du/dx: the quotient rule on -(df/dtheta) / |df/dx|."""
+    q, dq = parameter_gradient_and_slope(field, frame.points)
+    u = q / -frame.lengths[:, None]
+    bend = torch.einsum("nij,nj->ni", frame.hessians, frame.normals) / frame.lengths[:, None]  # slope of log |df/dx|
+    return u, dq / -frame.lengths[:, None, None] - u[:, None, :] * bend[:, :, None]
 
 
 def _turned(matrix: Float[Tensor, "n d d"], axes: Float[Tensor, "n d d"]) -> Float[Tensor, "n d d"]:

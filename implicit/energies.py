@@ -2,6 +2,7 @@
 
     E_C = int w (n . D - target)^2          reach a prescribed normal displacement       [paper, eq. 4, 5]
     E_C = int w |D - target|^2              the same for whole vectors
+    int w |grad_surface (n . D)|^2          keep the motion even                          [section 4.4, implicit]
     E_K = int |J + J^T|^2                   stay rigid: zero for Killing fields           [paper, section 4.3]
 
 The integrals carry quadrature weights, so a result does not depend on how many points were drawn.
@@ -54,6 +55,22 @@ class VectorTarget:
         for where, matrix in space.vector_rows(self.points):
             weights = self.weights[where].repeat_interleave(dimension)
             yield Rows(matrix.flatten(0, 1), self.target[where].reshape(-1), weights)
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothness:
+    """int w |grad_surface (n . D)|^2, the second variation of area without its curvature terms.
+
+    Added to a mean-curvature target with the step size as weight it makes the step implicit [Desbrun et al. 1999].
+    """
+
+    points: Float[Tensor, "n d"]
+    weights: Float[Tensor, " n"]
+
+    def rows(self, space: DeformationSpace) -> Iterator[Rows]:
+        for where, slopes in space.normal_slope_rows(self.points):
+            for a in range(slopes.shape[1]):
+                yield Rows(slopes[:, a], torch.zeros_like(self.weights[where]), self.weights[where])
 
 
 @dataclass(frozen=True, eq=False)

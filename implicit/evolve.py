@@ -103,8 +103,8 @@ class StepProblem:
 
     space: DeformationSpace
     energies: Sequence[Energy]
-    damping: float | None = None  # None takes the relative one
-    relative_damping: float | None = None
+    damping: float | None = None  # fixed; None lets the loop choose it by the linearity error
+    allowed_miss: float = 0.02  # nonlinear part of the motion that is accepted, relative to the motion
     # Motion along the surface that the normal motion leaves open, of the carried points (all, tracked ones last).
     slide: Callable[[Tensor, Tensor], Tensor] | None = None
     row: Row | None = None  # what the operation adds to the record of the step
@@ -149,6 +149,7 @@ def evolve(
     """
     began = time.perf_counter()
     guard = _Guard(field, constraints, resolution, tolerance)
+    trust = _Trust(field.dtype)
     carried = start.points if track is None else torch.cat([start.points, _on_surface(field, track)])
     own = len(start.points)
     history: list[Row] = []
@@ -159,7 +160,7 @@ def evolve(
         if operation.finished(state, history):
             status = EditStatus.REACHED
             break
-        taken = _take(state, operation, guard, carried)
+        taken = _take(state, operation, guard, trust, carried)
         if isinstance(taken, EditStatus):
             status = taken
             break
@@ -183,7 +184,7 @@ def evolve(
 
 
 def _take(
-    state: State, operation: Operation, guard: _Guard, carried: Tensor
+    state: State, operation: Operation, guard: _Guard, trust: _Trust, carried: Tensor
 ) -> tuple[Field, Tensor, Row] | EditStatus:
     """One step: the new field, the carried points on it, and the record; or why it was not taken."""
     field = state.field
@@ -193,44 +194,29 @@ def _take(
     for energy in problem.energies:
         for rows in energy.rows(space):
             system.add(rows)
-    assembled = time.perf_counter()
-    solution = system.solve(
-        problem.damping, guard.rows(field, space.size), relative_damping=problem.relative_damping
-    )
-    solved = time.perf_counter()
-    if solution.status is SolveStatus.FAILED:
-        return EditStatus.NOT_FINITE
-    d_theta = space.split(solution.x)[0]
-    moved = field.with_theta(field.theta + d_theta)
-    if not moved.require_finite(moved.theta):
-        return EditStatus.NOT_FINITE
-    restored = guard.restore(moved, system, space)
-    if isinstance(restored, EditStatus):
-        return restored
-    moved, total = restored, restored.theta - field.theta
-    x = torch.cat([total, solution.x[space.parameters :]])
-    try:
-        way = space.displacement(carried, x)
-        if problem.slide is not None:
-            way = way + problem.slide(carried, field.normal(carried))
-        # A point may have to go as far again as it was predicted to; a cell more allows for small steps.
-        reach = 2 * float(way.norm(dim=1).max()) + 2 * field.size / guard.resolution
-        arrived_at, arrived = newton_to_surface(moved, carried + way, reach=reach)
-    except ValueError:
-        return EditStatus.SURFACE_LOST
+    fixed = guard.rows(field, space.size)
+    clock = time.perf_counter()
+    trial = _trial(state, problem, system, fixed, trust, carried, 2 * field.size / guard.resolution)
+    if isinstance(trial, EditStatus):
+        return trial
+    solved = time.perf_counter() - clock
+    moved, way, arrived_at, arrived = trial.moved, trial.way, trial.arrived_at, trial.arrived
+    if guard.constraints:
+        restored = guard.restore(moved, system, space)
+        if isinstance(restored, EditStatus):
+            return restored
+        x = torch.cat([restored.theta - field.theta, trial.solution.x[space.parameters :]])
+        moved = restored
+        try:
+            way = _way(problem, x, carried)
+            arrived_at, arrived = newton_to_surface(moved, carried + way, reach=trial.reach)
+        except ValueError:
+            return EditStatus.SURFACE_LOST
     if float((~arrived).double().mean()) > 0.02:
         return EditStatus.SURFACE_LOST
-    row = _record(solution, guard, way, arrived_at - carried, arrived, total)
-    row["seconds_solve"] = solved - assembled
-    return moved, arrived_at, {**(problem.row or {}), **row}
-
-
-def _record(
-    solution: Solution, guard: _Guard, predicted: Tensor, achieved: Tensor, arrived: Tensor, d_theta: Tensor
-) -> Row:
-    miss = (achieved - predicted)[arrived]
-    size = float(predicted[arrived].square().sum(dim=1).mean().sqrt())
-    return {
+    miss, size = _miss(way, arrived_at - carried, arrived)
+    solution = trial.solution
+    row = {
         **guard.values,
         "constraint_gap": guard.gap,
         "residual": solution.residual,
@@ -238,12 +224,107 @@ def _record(
         "condition": solution.condition,
         "damping": solution.damping,
         "method": solution.method,
-        "largest_motion": float(predicted.norm(dim=1).max()),
-        "linearity_error": float(miss.square().sum(dim=1).mean().sqrt()) / max(size, 1e-300),
-        "d_theta_norm": float(d_theta.norm()),
+        "largest_motion": float(way.norm(dim=1).max()),
+        "linearity_error": miss / max(size, 1e-300),
+        "d_theta_norm": float((moved.theta - field.theta).norm()),
         "points_lost": int((~arrived).sum()),
         "solve_status": solution.status.value,
+        "solves": trial.solves,
+        "seconds_solve": solved,
     }
+    return moved, arrived_at, {**(problem.row or {}), **row}
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """A step that may be taken: the moved field and the carried points on it."""
+
+    solution: Solution
+    moved: Field
+    way: Tensor  # predicted motion of the carried points
+    arrived_at: Tensor
+    arrived: Tensor
+    reach: float
+    solves: int
+
+
+def _trial(
+    state: State,
+    problem: StepProblem,
+    system: LeastSquares,
+    fixed: tuple[Tensor, Tensor] | None,
+    trust: _Trust,
+    carried: Tensor,
+    cell: float,
+) -> _Trial | EditStatus:
+    """Solve, and solve again with more damping while the surface does not go where the linear model says.
+
+    The assembled matrix serves every try, so that a further one costs a factorisation and a projection.
+    """
+    field = state.field
+    last: _Trial | EditStatus = EditStatus.UNSTABLE
+    for solves in range(1, trust.tries + 1):
+        solution = system.solve(problem.damping, fixed, relative_damping=trust.damping)
+        if solution.status is SolveStatus.FAILED:
+            return EditStatus.NOT_FINITE
+        moved = field.with_theta(field.theta + problem.space.split(solution.x)[0])
+        if not moved.require_finite(moved.theta):
+            return EditStatus.NOT_FINITE
+        way = _way(problem, solution.x, carried)
+        # A point may have to go as far again as it was predicted to; a cell more allows for small steps.
+        reach = 2 * float(way.norm(dim=1).max()) + cell
+        good = False
+        try:
+            arrived_at, arrived = newton_to_surface(moved, carried + way, reach=reach)
+        except ValueError:
+            last = EditStatus.SURFACE_LOST
+        else:
+            last = _Trial(solution, moved, way, arrived_at, arrived, reach, solves)
+            miss, size = _miss(way, arrived_at - carried, arrived)
+            # A larger miss than what the step leaves undone anyway is not worth the smaller residual.
+            allowed = max(problem.allowed_miss * size, solution.residual)
+            good = miss <= allowed and bool(arrived.double().mean() > 0.995)
+            if good:
+                trust.after(miss / allowed)
+        if good or problem.damping is not None:
+            break
+        trust.raise_damping()
+    return last
+
+
+def _way(problem: StepProblem, x: Tensor, carried: Tensor) -> Tensor:
+    """Predicted motion of the carried points."""
+    way = problem.space.displacement(carried, x)
+    if problem.slide is not None:
+        way = way + problem.slide(carried, problem.space.field.normal(carried))
+    return way
+
+
+def _miss(way: Tensor, achieved: Tensor, arrived: Tensor) -> tuple[float, float]:
+    """Root mean squares of achieved minus predicted motion, and of the predicted one."""
+    if not bool(arrived.any()):
+        return float("inf"), 0.0
+    rms = [float(v[arrived].square().sum(dim=1).mean().sqrt()) for v in (achieved - way, way)]
+    return rms[0], rms[1]
+
+
+class _Trust:
+    """Damping relative to the trace, adapted as in Levenberg-Marquardt: the linear model decides."""
+
+    tries = 8
+
+    def __init__(self, dtype: torch.dtype) -> None:
+        self._least = 1e-10 if dtype == torch.float64 else 1e-7
+        self.damping = 1e-7
+
+    def raise_damping(self) -> None:
+        """After a try whose nonlinear part was too large."""
+        self.damping *= 10
+
+    def after(self, ratio: float) -> None:
+        """After a good try, with the ratio of its nonlinear part to what is allowed."""
+        if ratio < 0.3:
+            self.damping = max(self.damping / 10**0.5, self._least)
 
 
 class _Guard:

@@ -46,7 +46,7 @@ def geometric_edit(
         rest: What becomes of points in no region: "fixed" at zero, "free", or fixed with this weight.
         parts: Sub-steps; None takes as many as keep each part below 1/80 of the field's size, between 4 and 32.
         points: How many points carry the target, or the sample itself.
-        damping: Penalty on |d_theta|^2; None is small relative to the data (see implicit.solve).
+        damping: Penalty on |d_theta|^2; None adapts it to the linearity error.
         constraints: Functionals to hold during the edit, such as Volume().
         resolution: Of the quadrature that measures the constraints.
         track: Further surface points (M, D) to carry along.

@@ -19,7 +19,6 @@ from implicit.evolve import Edit, Progress, Row, State, StepProblem, evolve
 from implicit.field import Field
 from implicit.functionals import Functional
 from implicit.regions import Handle
-from implicit.solve import RELATIVE_DAMPING
 from implicit.surface import SurfaceSample, sample_surface
 from implicit.tangential import CosineFeatures, TangentialModel
 
@@ -52,8 +51,7 @@ def rigid_edit(
         bending, thickness: Weights of the parts of E_K (see implicit.energies.Killing); 1 is the paper's energy.
         tangential: Basis of the motion along the surface; None takes 400 cosine features.
         points: How many points carry the energies, or the sample itself.
-        damping: Relative penalty on the unknowns, in units of the trace of the normal matrix; None is 1e-12 in
-            float64, 1e-7 in float32.
+        damping: Penalty on the squares of the unknowns; None adapts it to the linearity error.
         constraints: Functionals to hold, such as Volume().
         resolution: Of the quadrature that measures the constraints.
         track: Further surface points (M, D) to carry along.
@@ -136,10 +134,7 @@ class _Rigid:
             state.points[held], target, self._alpha * (self._sample.weights * self._total.clamp(max=1))[held]
         )
         strain = Killing(state.points, self._sample.weights, self._bending, self._thickness)
-        relative = self._damping
-        if relative is None:
-            relative = 1e-12 if state.field.dtype == torch.float64 else RELATIVE_DAMPING[state.field.dtype]
-        return StepProblem(space, [strain, reach], relative_damping=relative)
+        return StepProblem(space, [strain, reach], self._damping)
 
     def finished(self, state: State, history: Sequence[Row]) -> bool:
         return False

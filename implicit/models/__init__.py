@@ -7,9 +7,10 @@ from typing import Any
 
 from torch import nn
 
+from implicit.models.mlp import Mlp
 from implicit.models.siren import Siren
 
-__all__ = ["Siren", "build", "register"]
+__all__ = ["Mlp", "Siren", "build", "register"]
 
 _ARCHITECTURES: dict[str, Callable[..., nn.Module]] = {}
 
@@ -34,3 +35,4 @@ def build(description: dict[str, Any]) -> nn.Module:
 
 
 register("siren", Siren)
+register("mlp", Mlp)

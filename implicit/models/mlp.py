@@ -25,7 +25,7 @@ class Mlp(nn.Module):
         activation: "softplus", infinitely often differentiable, or "relu", whose normals jump and whose curvature
             is zero almost everywhere.
         sharpness: The softplus is log(1 + exp(sharpness x)) / sharpness; it bends within about 1 / sharpness.
-        generator: Source of the initial weights; None takes torch's global one.
+        generator: Source of the initial weights; None starts one with seed 0.
     """
 
     def __init__(
@@ -45,12 +45,14 @@ class Mlp(nn.Module):
             )
         if activation not in ("softplus", "relu") or not sharpness > 0:
             raise ValueError(
-                f'Mlp needs activation "softplus" or "relu" and a positive sharpness, but got {activation!r}, {sharpness}.'
+                'Mlp needs activation "softplus" or "relu" and a positive sharpness, but got '
+                f"{activation!r}, {sharpness}."
             )
         self.activation = activation
         self.sharpness = float(sharpness)
         widths = [dimension] + [width] * depth + [1]
-        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(widths))
+        generator = torch.Generator().manual_seed(0) if generator is None else generator
+        self.layers = nn.ModuleList(nn.utils.skip_init(nn.Linear, a, b) for a, b in pairwise(widths))
         with torch.no_grad():
             for layer in self.layers[:-1]:
                 layer.weight.normal_(0, (2 / layer.out_features) ** 0.5, generator=generator)

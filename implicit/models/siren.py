@@ -5,6 +5,7 @@ Source: Sitzmann, Martel, Bergman, Lindell, Wetzstein, NeurIPS 2020, arXiv:2006.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import torch
@@ -24,7 +25,7 @@ class Siren(nn.Module):
         first_frequency: Factor inside the first sine: about how many half waves cross a box of side 2. High
             values fit detail sooner and ripple more between the samples.
         frequency: Factor inside the later sines.
-        generator: Source of the initial weights; None takes torch's global one.
+        generator: Source of the initial weights; None starts one with seed 0.
     """
 
     def __init__(
@@ -33,7 +34,7 @@ class Siren(nn.Module):
         width: int = 32,
         depth: int = 3,
         *,
-        first_frequency: float = 6.0,
+        first_frequency: float = 12.0,
         frequency: float = 6.0,
         generator: torch.Generator | None = None,
     ) -> None:
@@ -45,7 +46,8 @@ class Siren(nn.Module):
         self.first_frequency = float(first_frequency)
         self.frequency = float(frequency)
         widths = [dimension] + [width] * depth + [1]
-        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in zip(widths[:-1], widths[1:], strict=True))
+        generator = torch.Generator().manual_seed(0) if generator is None else generator
+        self.layers = nn.ModuleList(nn.utils.skip_init(nn.Linear, a, b) for a, b in pairwise(widths))
         with torch.no_grad():
             for k, layer in enumerate(self.layers):
                 inputs = widths[k]

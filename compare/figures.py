@@ -1,0 +1,181 @@
+"""Still pictures without a graphics card: shaded triangles, sorted by depth and painted from the back.
+
+A picture has a row for each operation and the columns before, neural field, mesh. Before shows the handles; the two
+results show the error, on one colour range about zero that they share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import Normalize, to_rgb
+from matplotlib.figure import Figure
+from numpy import ndarray
+
+from compare.case import HandleSpec
+from compare.records import Record
+from compare.views import PANES, View, colour_limit, load_views, simplified
+
+# Moreland's map, made for shaded surfaces: diverging about zero, even in lightness on both sides.
+COLOURS = "coolwarm"
+SURFACE, HELD, MOVED = to_rgb("#c9ccd1"), to_rgb("#4c72b0"), to_rgb("#dd8452")
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Where a picture is taken from, looking at the middle of the shape with the y axis up."""
+
+    azimuth: float = 30.0  # degrees about the y axis, 0 looks along -z
+    elevation: float = 20.0  # degrees above the horizon
+
+    def axes(self) -> Float[ndarray, "3 3"]:
+        """Right, up and towards the viewer, as rows."""
+        a, e = np.radians(self.azimuth), np.radians(self.elevation)
+        back = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
+        right = np.array([np.cos(a), 0.0, -np.sin(a)])
+        return np.stack([right, np.cross(back, right), back])
+
+
+def draw_figures(
+    records: Sequence[Record],
+    folder: str | PathLike[str],
+    *,
+    output: str | PathLike[str] | None = None,
+    formats: Sequence[str] = ("png", "pdf"),
+    camera: Camera | None = None,
+) -> list[Path]:
+    """Paint a picture for each shape.
+
+    Args:
+        records: Of a run; failed ones are left out.
+        folder: The run folder, where their meshes are.
+        output: Where the pictures go; None is `figures` in the run folder.
+        formats: What matplotlib can write: png, pdf, svg.
+        camera: Where from; None looks from the upper right.
+
+    Returns:
+        The files written.
+
+    Raises:
+        FileNotFoundError: A mesh that a record names is gone.
+    """
+    folder = Path(folder)
+    target = folder / "figures" if output is None else Path(output)
+    by_shape: dict[str, list[Record]] = {}
+    for record in records:
+        if not record.failed and record.artefacts:
+            by_shape.setdefault(record.case.name, []).append(record)
+    written = []
+    for name, group in by_shape.items():
+        figure = picture(group, folder, camera=camera)
+        target.mkdir(parents=True, exist_ok=True)
+        for suffix in formats:
+            path = target / f"{name}.{suffix}"
+            figure.savefig(path, dpi=150)
+            written.append(path)
+    return written
+
+
+def picture(records: Sequence[Record], folder: Path, *, camera: Camera | None = None) -> Figure:
+    """Rows of before, neural field and mesh, a record each."""
+    camera = camera or Camera()
+    figure = Figure(figsize=(8.6, 2.75 * len(records)), layout="constrained")
+    grid = figure.subplots(len(records), 3, squeeze=False)
+    for row, record in zip(grid, records, strict=True):
+        views = load_views(record, folder)
+        limit = colour_limit([views["implicit"], views["mesh"]])
+        for axes, (name, view) in zip(row, views.items(), strict=True):
+            if name == "before":
+                paint(axes, view, _handle_colours(view, record.case.handles), camera)
+                _draw_motion(axes, view, record, camera)
+                title = f"{record.case.name}, {record.case.operation}"
+            else:
+                view = simplified(view, 20_000)
+                paint(axes, view, _error_colours(view, limit), camera)
+                title = f"{PANES[name]}: {_headline(record, name)}"
+            axes.set_title(title, fontsize=8)
+        _same_frame(row)
+        bar = figure.colorbar(ScalarMappable(Normalize(-limit, limit), COLOURS), ax=list(row[1:]), shrink=0.8, pad=0.01)
+        bar.set_label(_wrapped(record.subject["error_means"]), fontsize=6)
+        bar.ax.tick_params(labelsize=6)
+    return figure
+
+
+def paint(axes: Axes, view: View, colours: Float[ndarray, "m 3"], camera: Camera) -> None:
+    """Draw a closed mesh with a colour for each face: those that look away are left out, the far ones come first."""
+    right, up, back = camera.axes()
+    corners = view.V[view.F]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    seen = np.flatnonzero(normals @ back > 0)
+    order = seen[np.argsort((corners[seen] @ back).mean(axis=1))]
+    light = back + 0.5 * up - 0.4 * right
+    shade = 0.45 + 0.55 * np.clip(normals[order] @ (light / np.linalg.norm(light)), 0, 1)
+    flat = np.stack([corners[order] @ right, corners[order] @ up], axis=-1)
+    painted = np.clip(colours[order] * shade[:, None], 0, 1)
+    # Edges in the colour of their face close the hairlines between neighbours.
+    axes.add_collection(PolyCollection(flat, facecolors=painted, edgecolors=painted, linewidths=0.3, rasterized=True))
+    axes.autoscale_view()
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+
+
+def _handle_colours(view: View, handles: Sequence[HandleSpec]) -> Float[ndarray, "m 3"]:
+    palette = np.array([SURFACE, *(HELD if _holds(h) else MOVED for h in handles)])
+    return palette[view.values.astype(int)][view.F].mean(axis=1)
+
+
+def _error_colours(view: View, limit: float) -> Float[ndarray, "m 3"]:
+    return colormaps[COLOURS](Normalize(-limit, limit)(view.values[view.F].mean(axis=1)))[:, :3]
+
+
+def _draw_motion(axes: Axes, view: View, record: Record, camera: Camera) -> None:
+    """An arrow for each handle that is moved by a vector."""
+    screen = camera.axes()[:2]
+    for number, handle in enumerate(record.case.handles, start=1):
+        held = view.V[view.values == number]
+        if handle.motion["kind"] == "vector" and not _holds(handle) and len(held):
+            start = screen @ held.mean(axis=0)
+            end = start + screen @ np.asarray(handle.motion["vector"]) * float(record.subject["scale"])
+            axes.annotate("", end, start, arrowprops={"arrowstyle": "->", "lw": 1.4}, zorder=5)
+
+
+def _holds(handle: HandleSpec) -> bool:
+    return handle.motion["kind"] == "vector" and not np.any(handle.motion["vector"])
+
+
+def _headline(record: Record, side: str) -> str:
+    row = record.sides[side]
+    if record.case.operation == "geometric":
+        return f"error {100 * row['error_relative']:.2g} % of the bump"
+    if record.case.operation == "smooth":
+        return f"volume {100 * row['volume_drift']:+.2g} %"
+    return f"Killing energy {row['killing_energy']:.3g}"
+
+
+def _same_frame(row: Sequence[Axes]) -> None:
+    """One extent for all panes of a row, so that sizes can be compared."""
+    x = np.array([axes.get_xlim() for axes in row])
+    y = np.array([axes.get_ylim() for axes in row])
+    for axes in row:
+        axes.set_xlim(x.min(), x.max())
+        axes.set_ylim(y.min(), y.max())
+
+
+def _wrapped(sentence: str) -> str:
+    words, lines = sentence.split(), [""]
+    for word in words:
+        if len(lines[-1]) + len(word) > 34:
+            lines.append("")
+        lines[-1] = f"{lines[-1]} {word}".strip()
+    return "\n".join(lines)

@@ -1,0 +1,170 @@
+"""The two editors on one subject: each operation by the neural field and by its mesh counterpart.
+
+| operation | neural field | mesh |
+|---|---|---|
+| geometric | implicit.geometric_edit, the rest fixed | each vertex moved as wanted, which a mesh can always do |
+| smooth | implicit.smooth with Volume() held | conformalised mean-curvature flow, rescaled to its volume |
+| rigid | implicit.rigid_edit | meshref.killing, linear least squares; meshref.arap beside it |
+
+Both start from the common mesh of the subject and give a displacement of its vertices, in the field's units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from dataclasses import field as default
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+import implicit
+import meshref
+from compare.case import Case
+from compare.subject import Progress, Subject
+
+if TYPE_CHECKING:
+    from implicit import Edit, Field
+
+
+@dataclass(frozen=True, eq=False)
+class Wanted:
+    """What the handles of a case ask of the vertices of the common mesh."""
+
+    handle: Int[ndarray, " n"]  # the handle that holds each vertex, counted from 1; 0 for none
+    at: Bool[ndarray, " n"]  # which vertices are told where to go
+    displacement: Float[ndarray, "n 3"]  # and where; zero elsewhere
+
+    @property
+    def largest(self) -> float:
+        """The largest displacement asked for, the scale of relative errors; 0 if none is."""
+        return float(np.linalg.norm(self.displacement, axis=1).max(initial=0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What one editor made of a case."""
+
+    displacement: Float[ndarray, "n 3"]  # of the vertices of the common mesh, in the field's units
+    method: str  # which it was, and its settings, for a reader
+    status: str  # how it ended, a sentence
+    seconds: float
+    field: Field | None = None  # the edited field, of the neural editor
+    details: Mapping[str, Any] = default(default_factory=dict)
+
+
+def wanted_motion(case: Case, subject: Subject) -> Wanted:
+    """The handles' wishes on the common mesh, by the rules of the editors of `implicit`.
+
+    A geometric edit adds up the handles' displacements times their weights, and keeps the rest fixed, so every vertex
+    has a target. A rigid edit prescribes the vertices with a weight above one half.
+
+    Raises:
+        ValueError: A handle holds no vertex.
+    """
+    points, normals = torch.from_numpy(subject.V), torch.from_numpy(subject.N)
+    number_of = np.zeros(len(subject.V), dtype=np.int64)
+    displacement = np.zeros_like(subject.V)
+    for number, spec in enumerate(case.handles, start=1):
+        handle = spec.build()
+        weights = handle.weights(points).numpy()
+        motion = (handle.position(1.0, points, normals) - points).numpy()
+        inside = weights > (0 if case.operation == "geometric" else 0.5)
+        if not inside.any():
+            raise ValueError(
+                f"Handle {number} of the case ({spec.region}) holds no vertex of {case.name}. Handles are given in the "
+                f"field's coordinates, where the shape spans {np.round(subject.V.min(0), 3)} to "
+                f"{np.round(subject.V.max(0), 3)}."
+            )
+        if case.operation == "geometric":
+            displacement += weights[:, None] * motion
+        else:
+            displacement[inside] = motion[inside]
+        number_of[inside] = number
+    at = np.ones(len(subject.V), dtype=bool) if case.operation == "geometric" else number_of > 0
+    return Wanted(number_of, at, displacement)
+
+
+def edit_field(case: Case, subject: Subject, progress: Progress | None = None) -> Outcome:
+    """The case by the neural editor."""
+    options = dict(case.parameters.get("implicit", {}))
+    common: dict[str, Any] = {
+        "track": torch.from_numpy(subject.V),
+        "progress": _teller(progress, f"{case.operation}, neural field"),
+    }
+    handles = [spec.build() for spec in case.handles]
+
+    def run() -> Edit:
+        if case.operation == "geometric":
+            return implicit.geometric_edit(subject.field, handles, rest="fixed", seed=case.seed, **common, **options)
+        if case.operation == "smooth":
+            volume = (implicit.Volume(),)
+            settings = {"steps": case.parameters["steps"], "step_size": case.parameters["step_size"]}
+            return implicit.smooth(subject.field, constraints=volume, **settings, **common, **options)
+        return implicit.rigid_edit(subject.field, handles, **common, **options)
+
+    start = perf_counter()
+    edit = run()
+    seconds = perf_counter() - start
+    if edit.tracked is None:
+        raise RuntimeError("The edit did not carry the vertices of the common mesh along.")
+    displacement = edit.tracked.double().numpy() - subject.V
+    lost = ~np.isfinite(displacement).all(axis=1)
+    if lost.any():
+        raise RuntimeError(f"The edit lost {int(lost.sum())} of {len(lost)} vertices of the common mesh on the way.")
+    method = {"geometric": "boundary sensitivity", "smooth": "curvature flow, volume held", "rigid": "AKVF"}
+    details = {"steps": len(edit.history), "history": edit.history}
+    if case.operation != "smooth":
+        error = edit.error_field()
+        error = error[torch.isfinite(error)]
+        details |= {"error_field_rms": float(error.square().mean().sqrt()), "error_field_max": float(error.abs().max())}
+    return Outcome(displacement, method[case.operation], edit.status.value, seconds, edit.field, details)
+
+
+def edit_mesh(case: Case, subject: Subject, wanted: Wanted, progress: Progress | None = None) -> Outcome:
+    """The case by the mesh counterpart, the one that is compared with the neural editor."""
+    options = dict(case.parameters.get("mesh", {}))
+    tell = _teller(progress, f"{case.operation}, mesh")
+    start = perf_counter()
+    if case.operation == "geometric":
+        return Outcome(wanted.displacement, "vertices moved as wanted", "Every vertex is moved as wanted.", 0.0)
+    if case.operation == "smooth":
+        options = {"method": "conformalised", "preserve_volume": "rescale", **options}
+        flow = meshref.mean_curvature_flow(
+            subject.V,
+            subject.F,
+            steps=case.parameters["steps"],
+            step_size=case.parameters["step_size"],
+            progress=lambda step, steps: tell(step, steps, {}),
+            **options,
+        )
+        seconds = perf_counter() - start
+        method = f"{options['method']} curvature flow, volume kept"
+        return Outcome(flow.V - subject.V, method, flow.status.value, seconds, None, {"steps": flow.steps_taken})
+    handles = np.flatnonzero(wanted.at)
+    result = meshref.killing(subject.V, subject.F, handles, wanted.displacement[handles], **options)
+    seconds = perf_counter() - start
+    return Outcome(result.displacement, "Killing least squares", result.status.value, seconds, None, dict(result.seconds))
+
+
+def edit_mesh_by_arap(case: Case, subject: Subject, wanted: Wanted) -> Outcome:
+    """A rigid case by as-rigid-as-possible deformation, the second mesh method."""
+    handles = np.flatnonzero(wanted.at)
+    start = perf_counter()
+    result = meshref.arap(subject.V, subject.F, handles, subject.V[handles] + wanted.displacement[handles])
+    seconds = perf_counter() - start
+    return Outcome(
+        result.V - subject.V, "ARAP", result.status.value, seconds, None, {"iterations": result.iterations}
+    )
+
+
+def _teller(progress: Progress | None, what: str) -> Callable[[int, int, Mapping[str, Any]], None]:
+    def tell(step: int, steps: int, row: Mapping[str, Any]) -> None:
+        if progress is not None:
+            progress(step, steps, what)
+
+    return tell

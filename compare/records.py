@@ -1,0 +1,200 @@
+"""What a case gave, kept as one line of JSON.
+
+A study may be killed at any moment and its rows must survive: a row is one write to a file opened for appending,
+followed by fsync; a last line cut short by a crash is cut away before the next row is appended, and skipped on
+reading. NaN and infinities, which JSON has no words for, are written as null.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from dataclasses import field as default
+from datetime import UTC, datetime
+from importlib import metadata
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from compare.case import Case
+
+SCHEMA = 1
+FILE = "results.jsonl"
+PACKAGES = ("implicit-vs-mesh", "torch", "numpy", "scipy", "libigl", "pymeshlab", "trimesh", "scikit-image")
+
+
+@dataclass(frozen=True)
+class Artefact:
+    """A file that belongs to a record: its path in the run folder and the hash of its content."""
+
+    path: str
+    sha256: str
+
+    @classmethod
+    def of(cls, path: Path, folder: Path) -> Artefact:
+        """The artefact for a file that was just written under the folder."""
+        return cls(path.relative_to(folder).as_posix(), hashlib.sha256(path.read_bytes()).hexdigest())
+
+
+@dataclass(frozen=True)
+class Record:
+    """One case, what both representations made of it, and what is needed to believe it."""
+
+    case: Case
+    key: str
+    status: str  # a sentence
+    failed: bool = False
+    subject: Mapping[str, Any] = default(default_factory=dict)  # the common mesh: vertices, volume, area, scale, ...
+    sides: Mapping[str, Mapping[str, Any]] = default(default_factory=dict)  # "implicit", "mesh" -> numbers and words
+    between: Mapping[str, Any] = default(default_factory=dict)  # distances between the two results
+    seconds: Mapping[str, float] = default(default_factory=dict)  # of the phases that both sides share
+    notes: Sequence[str] = ()  # sentences: what was mended, what a reader should know
+    artefacts: Mapping[str, Artefact] = default(default_factory=dict)
+    provenance: Mapping[str, Any] = default(default_factory=dict)
+    schema: int = SCHEMA
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data; numbers that JSON cannot say are None."""
+        row = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        row["case"] = self.case.to_dict()
+        row["artefacts"] = {name: dataclasses.asdict(a) for name, a in self.artefacts.items()}
+        return plain(row)
+
+    @classmethod
+    def from_dict(cls, row: Mapping[str, Any]) -> Record:
+        """The record that `to_dict` wrote.
+
+        Raises:
+            ValueError: The row is of a newer schema, or no record.
+        """
+        if row.get("schema") != SCHEMA:
+            raise ValueError(
+                f"The row is of schema {row.get('schema')}, but this version reads {SCHEMA}. Read it with the version "
+                "that wrote it, or run the case again."
+            )
+        known = {f.name for f in dataclasses.fields(cls)}
+        rest = {k: v for k, v in row.items() if k in known}
+        rest["case"] = Case.from_dict(row["case"])
+        rest["artefacts"] = {name: Artefact(**a) for name, a in row["artefacts"].items()}
+        return cls(**rest)
+
+
+def append(path: str | PathLike[str], record: Record) -> None:
+    """Add one row to the file, whole or not at all."""
+    line = json.dumps(record.to_dict(), allow_nan=False, separators=(",", ":")).encode() + b"\n"
+    _cut_torn_line(Path(path))
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    try:
+        written = os.write(descriptor, line)
+        if written != len(line):
+            raise OSError(f"Only {written} of {len(line)} bytes could be written to {path}. Is the disk full?")
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def read(path: str | PathLike[str]) -> list[Record]:
+    """All records of a file (or of a run folder), in the order they were written.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: A line other than the last is not a record.
+    """
+    path = Path(path)
+    path = path / FILE if path.is_dir() else path
+    if not path.is_file():
+        raise FileNotFoundError(f"There is no {path}. Name a folder that `implicit-vs-mesh run` wrote.")
+    lines = path.read_bytes().split(b"\n")
+    records = []
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        try:
+            row = json.loads(line)
+        except ValueError as error:
+            if number == len(lines):  # no newline after it: the writer was killed in the middle
+                break
+            raise ValueError(f"Line {number} of {path} is not JSON: {error}. Remove that line.") from error
+        try:
+            records.append(Record.from_dict(row))
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"Line {number} of {path} is no record: {error}") from error
+    return records
+
+
+def provenance(seed: int) -> dict[str, Any]:
+    """Versions, machine and settings that a number may depend on."""
+    import torch
+
+    versions = {}
+    for name in PACKAGES:
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:  # run from the sources, without installation
+            versions[name] = None
+    return {
+        "time": datetime.now(UTC).isoformat(timespec="seconds"),
+        "seed": seed,
+        "versions": versions,
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "threads": torch.get_num_threads(),
+        "device": "cpu",
+        "dtype": "float64",
+    }
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:  # not Linux
+        pass
+    return platform.processor()
+
+
+def _cut_torn_line(path: Path) -> None:
+    """Cut the file back to its last newline: what follows was left by a writer that was killed."""
+    try:
+        with open(path, "rb+") as file:
+            content = file.read()
+            whole = content.rfind(b"\n") + 1
+            if whole != len(content):
+                file.truncate(whole)
+                os.fsync(file.fileno())
+    except FileNotFoundError:
+        pass
+
+
+def replace_file(path: Path, content: bytes) -> None:
+    """Write a file to the side and move it there in one step, so that nobody sees half of it."""
+    side = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        side.write_bytes(content)
+        os.replace(side, path)
+    finally:
+        side.unlink(missing_ok=True)
+
+
+def plain(value: Any) -> Any:
+    """The value in the words of JSON: arrays become lists, numbers that JSON cannot say become None."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, bool | str | int) or value is None:
+        return value
+    if hasattr(value, "tolist"):  # numpy and torch, scalars and arrays
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    raise TypeError(f"A record holds numbers, words, lists and dicts, but got a {type(value).__name__}: {value!r}.")

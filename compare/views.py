@@ -1,0 +1,71 @@
+"""The three meshes of a record as one looks at them: before, the neural result, the mesh result."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+from scipy.spatial import cKDTree
+
+import meshref
+from compare.records import Record
+
+PANES = {"before": "before", "implicit": "neural field", "mesh": "mesh"}
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A mesh with one number a vertex."""
+
+    V: Float[ndarray, "n 3"]
+    F: Int[ndarray, "m 3"]
+    values: Float[ndarray, " n"]
+
+
+def load_views(record: Record, folder: Path) -> dict[str, View]:
+    """The views of a record, in the order of PANES; empty for a failed record.
+
+    Raises:
+        FileNotFoundError: A file that the record names is gone.
+    """
+    return {name: read_view(folder / record.artefacts[name].path) for name in PANES if name in record.artefacts}
+
+
+def read_view(path: Path) -> View:
+    """A binary .ply with a vertex quality, as run_case writes it.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"There is no {path}, though results.jsonl names it. Run the case again.")
+    V, F = meshref.read_mesh(path)
+    content = path.read_bytes()
+    header, body = content.split(b"end_header\n", 1)
+    columns = [line.split()[-1] for line in header.splitlines() if line.startswith(b"property double")]
+    table = np.frombuffer(body, "<f8", count=len(V) * len(columns)).reshape(len(V), len(columns))
+    return View(V, F, table[:, columns.index(b"quality")].copy())
+
+
+def simplified(view: View, faces: int) -> View:
+    """The view with at most so many faces; each new vertex takes the number of the nearest old one."""
+    if len(view.F) <= faces:
+        return view
+    import igl
+
+    V, F = igl.qslim(view.V, view.F, faces)[:2]
+    V, F = np.ascontiguousarray(V), np.ascontiguousarray(F)
+    return View(V, F, view.values[cKDTree(view.V).query(V)[1]])
+
+
+def colour_limit(views: list[View]) -> float:
+    """Half the width of a colour range about zero that the views share: the 99th percentile of what is there.
+
+    The largest single value is often one vertex at a sharp edge, and would leave the rest without colour.
+    """
+    values = np.abs(np.concatenate([view.values for view in views]))
+    limit = float(np.quantile(values, 0.99))
+    return limit if limit > 0 else float(values.max()) or 1.0

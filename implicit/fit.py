@@ -1,0 +1,369 @@
+"""Fit a network to distances and normals sampled in space. Nothing here knows of meshes.
+
+With d the distance of a sample x (negative inside) and n its gradient there, the loss is the mean over samples of
+
+    w(d)^2 (f(x) - d)^2  +  band^2 |df/dx - n|^2  where |d| < band,     w(d) = band / (band + |d|)
+
+so far from the surface only the ratio of error to distance counts: that is enough for the sign, which keeps the space
+free of stray pieces, and leaves the network to the surface.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from os import PathLike, fspath
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from implicit.field import CUBE, Bounds, Field, Units
+from implicit.files import replace_file
+from implicit.models import Mlp, Siren
+from implicit.soap import Soap
+
+# Part of a batch that is drawn within the band and compared in its gradient too, which costs twice a value.
+NEAR_PART = 0.25
+WARM_UP = 50  # steps over which the learning rate rises
+LAST_RATE = 1e-3  # the learning rate falls to this part of itself along a cosine
+
+
+class FitStatus(Enum):
+    """How a training ended."""
+
+    DONE = "All steps were taken."
+    OUT_OF_TIME = "The time was over before the last step was taken. Allow more seconds."
+    DIVERGED = (
+        "The loss was no longer finite; the network is the last one that was. Lower the learning rate or frequencies."
+    )
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a training stood."""
+
+    step: int
+    seconds: float  # since the start, without those of an interrupted run before
+    loss: float  # root of the loss, a length: the typical error near the surface
+
+
+@dataclass(frozen=True, eq=False)
+class Training:
+    """How a fit went."""
+
+    steps: int
+    seconds: float
+    history: tuple[Progress, ...]  # up to 100 rows
+    value_error: float  # mean |f - d| over the samples within the band, a length
+    normal_error: float  # mean angle between df/dx and n over the same samples, in degrees
+    band: float
+    status: FitStatus
+
+
+def fit_field(
+    points: Float[Tensor, "n d"],
+    distances: Float[Tensor, " n"],
+    normals: Float[Tensor, "n d"],
+    *,
+    width: int = 32,
+    depth: int = 3,
+    activation: Literal["sine", "softplus", "relu"] = "sine",
+    first_frequency: float = 12.0,
+    frequency: float = 6.0,
+    steps: int = 3000,
+    seconds: float | None = None,
+    batch: int = 4096,
+    learning_rate: float | None = None,
+    method: Literal["soap", "adam"] = "soap",
+    band: float | None = None,
+    bounds: Bounds | None = None,
+    units: Units | None = None,
+    seed: int = 0,
+    dtype: torch.dtype = torch.float32,
+    progress: Callable[[int, int, float], None] | None = None,
+    checkpoint: str | PathLike[str] | None = None,
+) -> tuple[Field, Training]:
+    """Train a network on signed distances and their gradients.
+
+    The samples should crowd near the surface and also fill the bounds, and a little beyond: where there are none, the
+    sign of the field is left to chance. A quarter of a million makes a good fit of a shape in the unit cube.
+
+    Args:
+        points: Samples (N, D), D 2 or 3, of any floating dtype; the work is done where they live.
+        distances: Signed distance of each to the surface, negative inside.
+        normals: Unit gradient of the distance at each, on the surface its outward normal. Only those of samples within
+            the band are used; rows elsewhere may be anything.
+        width: Units in each hidden layer.
+        depth: Hidden layers.
+        activation: "sine" makes a Siren, "softplus" or "relu" an Mlp.
+        first_frequency: Of a Siren: about how many half waves cross the bounds in the first layer at the start.
+        frequency: Of a Siren: factor in the later layers.
+        steps: Steps to take. With the same seed, data and number of threads they give the same bits.
+        seconds: Stop after this time even if steps are left; the schedule then follows the time where it is ahead, so
+            the result depends on the speed of the machine.
+        batch: Samples drawn for each step.
+        learning_rate: Largest step length; None takes what does well for the method and the activation.
+        method: "soap" (see implicit.soap) or "adam".
+        band: Distance up to which gradients are compared and errors count fully, a length. None takes 1 % of the
+            longest side of the bounds.
+        bounds: A box that holds the surface; the default is [-1, 1]^D.
+        units: How the field's coordinates relate to the user's; kept in the field.
+        seed: Of the first weights and of the batches.
+        dtype: Precision of the network and the training.
+        progress: Called as progress(step, steps, loss) up to 100 times.
+        checkpoint: A file to write the state of the training to, twenty times on the way and at the end. If it is
+            there already, the training goes on from it, and ends with the same bits as one that was never interrupted.
+
+    Returns:
+        The field, and how the training went.
+
+    Raises:
+        ValueError: The samples do not fit each other, are not finite, lie all on one side of the surface or all away
+            from it; an option is out of range; or the checkpoint belongs to another fit.
+    """
+    start = perf_counter()
+    dimension = _check_samples(points, distances, normals)
+    box = _check_bounds(bounds, dimension)
+    if steps < 1 or batch < 4 or (seconds is not None and not seconds > 0):
+        raise ValueError(
+            f"steps must be at least 1, batch at least 4 and seconds positive, but are {steps}, {batch}, {seconds}."
+        )
+    if method not in ("soap", "adam") or activation not in ("sine", "softplus", "relu"):
+        raise ValueError(
+            'method must be "soap" or "adam" and activation "sine", "softplus" or "relu", but are '
+            f"{method!r} and {activation!r}."
+        )
+    if learning_rate is None:
+        learning_rate = _LEARNING_RATES[method, activation]
+
+    # The training happens in [-1, 1]^D, and the way there is folded into the first and last layer at the end.
+    middle, half = box.mean(dim=0), float((box[1] - box[0]).max()) / 2
+    band = 0.02 if band is None else band / half
+    data = _Samples(
+        ((points - middle.to(points)) / half).to(dtype), (distances / half).to(dtype), normals.to(dtype), band
+    )
+    generator = torch.Generator().manual_seed(seed)
+    module: Siren | Mlp
+    if activation == "sine":
+        module = Siren(
+            dimension, width, depth, first_frequency=first_frequency, frequency=frequency, generator=generator
+        )
+    else:
+        module = Mlp(dimension, width, depth, activation=activation, generator=generator)
+    module.to(device=points.device, dtype=dtype)
+    optimiser = Soap([layer for layer in module.layers if isinstance(layer, nn.Linear)], rotate=method == "soap")
+    run = _Run(module, optimiser, generator)
+    path = None if checkpoint is None else Path(checkpoint)
+    if path is not None:
+        settings = [module.describe(), steps, batch, learning_rate, method, band, seed, str(dtype), data.fingerprint()]
+        run.fingerprint = hashlib.sha256(json.dumps(settings).encode()).hexdigest()
+        if path.exists():
+            run.load(path)
+
+    status = FitStatus.DONE
+    history: list[Progress] = []
+    shown = max(1, steps // 100)
+    kept = max(1, steps // 20)
+    last_good = {name: value.clone() for name, value in module.state_dict().items()}
+    while run.step < steps:
+        spent = run.seconds_before + perf_counter() - start
+        done = run.step / steps if seconds is None else max(run.step / steps, spent / seconds)
+        if done >= 1:
+            status = FitStatus.OUT_OF_TIME
+            break
+        rate = learning_rate * min(1.0, (run.step + 1) / WARM_UP) * max(LAST_RATE, (1 + math.cos(math.pi * done)) / 2)
+        loss = data.loss(module, batch, generator)
+        module.zero_grad(set_to_none=True)
+        loss.backward()
+        optimiser.step(rate)
+        run.step += 1
+        if run.step % shown == 0 or run.step == steps:
+            size = math.sqrt(float(loss.detach())) * half if bool(torch.isfinite(loss)) else math.nan
+            if not math.isfinite(size) or not all(bool(torch.isfinite(p).all()) for p in module.parameters()):
+                module.load_state_dict(last_good)
+                status = FitStatus.DIVERGED
+                break
+            last_good = {name: value.clone() for name, value in module.state_dict().items()}
+            history.append(Progress(run.step, perf_counter() - start, size))
+            if progress is not None:
+                progress(run.step, steps, size)
+        if path is not None and (run.step % kept == 0 or run.step == steps):
+            run.save(path, run.seconds_before + perf_counter() - start)
+
+    value_error, normal_error = data.errors(module)
+    _fold(module, middle, half)
+    field = Field(module, bounds=box.tolist(), units=units)
+    training = Training(
+        steps=run.step,
+        seconds=run.seconds_before + perf_counter() - start,
+        history=tuple(history),
+        value_error=value_error * half,
+        normal_error=normal_error,
+        band=band * half,
+        status=status,
+    )
+    return field, training
+
+
+_LEARNING_RATES = {
+    ("soap", "sine"): 1e-2,
+    ("adam", "sine"): 1e-2,
+    ("soap", "softplus"): 2e-3,
+    ("adam", "softplus"): 1e-3,
+    ("soap", "relu"): 2e-3,
+    ("adam", "relu"): 1e-3,
+}
+
+
+class _Samples:
+    """The samples in [-1, 1]^D, and the loss of a batch of them."""
+
+    def __init__(self, points: Tensor, distances: Tensor, normals: Tensor, band: float) -> None:
+        self.points, self.distances, self.band = points, distances, band
+        near = (distances.abs() < band).nonzero()[:, 0]
+        if len(near) == 0:
+            raise ValueError(
+                f"Some samples must lie within the band of {band:.3g} (in bounds of [-1, 1]), but the nearest has |distance| "
+                f"= {float(distances.abs().min()):.3g}. Sample the surface too, or widen the band."
+            )
+        self.near_points, self.near_distances, self.near_normals = points[near], distances[near], normals[near]
+        if not bool(torch.isfinite(self.near_normals).all()):
+            i = int(near[(~torch.isfinite(self.near_normals)).any(dim=1).nonzero()[0, 0]])
+            raise ValueError(f"normals[{i}] is not finite, though the sample is near the surface. Leave it out.")
+        self.weights = band / (band + distances.abs())
+
+    def loss(self, module: nn.Module, batch: int, generator: torch.Generator) -> Tensor:
+        """The loss of the head of this file, over a fresh batch."""
+        near = max(1, int(batch * NEAR_PART))
+        i = torch.randint(len(self.points), (batch - near,), generator=generator).to(self.points.device)
+        j = torch.randint(len(self.near_points), (near,), generator=generator).to(self.points.device)
+        x = self.near_points[j].requires_grad_()
+        f = module(x)
+        (gradient,) = torch.autograd.grad(f.sum(), x, create_graph=True)
+        errors = torch.cat([f - self.near_distances[j], self.weights[i] * (module(self.points[i]) - self.distances[i])])
+        turns = (gradient - self.near_normals[j]).square().sum(dim=1)
+        return errors.square().mean() + self.band**2 * turns.mean()
+
+    def errors(self, module: nn.Module) -> tuple[float, float]:
+        """Mean |f - d| and mean angle in degrees over the samples within the band."""
+        field = Field(module, bounds=_unit_box(self.points.shape[1]))
+        values, gradients = field.value_and_gradient(self.near_points)
+        cosine = nn.functional.cosine_similarity(gradients, self.near_normals, dim=1).clamp(-1, 1)
+        return float((values - self.near_distances).abs().mean()), float(torch.rad2deg(cosine.acos()).mean())
+
+    def fingerprint(self) -> str:
+        """What the samples are, in few letters."""
+        digest = hashlib.sha256()
+        for part in (self.points, self.distances, self.near_normals):
+            digest.update(part.detach().cpu().contiguous().numpy().tobytes())
+        return digest.hexdigest()
+
+
+class _Run:
+    """All that a training carries from step to step, and its checkpoints."""
+
+    def __init__(self, module: nn.Module, optimiser: Soap, generator: torch.Generator) -> None:
+        self.module, self.optimiser, self.generator = module, optimiser, generator
+        self.step = 0
+        self.seconds_before = 0.0
+        self.fingerprint = ""
+
+    def save(self, path: Path, seconds: float) -> None:
+        from safetensors.torch import save
+
+        state = {f"module.{name}": value for name, value in self.module.state_dict().items()}
+        state |= {f"optimiser.{name}": value for name, value in self.optimiser.state.items()}
+        state["generator"] = self.generator.get_state()
+        header = {
+            "format": "implicit-training-1",
+            "fit": self.fingerprint,
+            "step": str(self.step),
+            "seconds": repr(seconds),
+        }
+        content = {name: value.detach().cpu().contiguous().clone() for name, value in state.items()}
+        replace_file(path, save(content, metadata=header))
+
+    def load(self, path: Path) -> None:
+        from safetensors import SafetensorError, safe_open
+
+        try:
+            with safe_open(fspath(path), framework="pt") as file:
+                header: dict[str, Any] = file.metadata() or {}
+                state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  not a dict
+        except (SafetensorError, OSError) as error:
+            raise ValueError(
+                f"{path} is not a whole checkpoint ({error}). Remove it to train from the start."
+            ) from error
+        if header.get("format") != "implicit-training-1" or header.get("fit") != self.fingerprint:
+            raise ValueError(
+                f"{path} belongs to another fit: the samples, the network or the options differ. Remove it to train "
+                "from the start, or give this fit a file of its own."
+            )
+        self.module.load_state_dict(
+            {name.removeprefix("module."): value for name, value in state.items() if name.startswith("module.")}
+        )
+        for name, value in self.optimiser.state.items():
+            value.copy_(state[f"optimiser.{name}"])
+        self.generator.set_state(state["generator"])
+        self.step = self.optimiser.steps = int(header["step"])
+        self.seconds_before = float(header["seconds"])
+
+
+def _check_samples(points: Tensor, distances: Tensor, normals: Tensor) -> int:
+    for name, value in (("points", points), ("distances", distances), ("normals", normals)):
+        if not isinstance(value, Tensor) or not value.is_floating_point():
+            raise TypeError(f"{name} must be a floating torch tensor, but is {getattr(value, 'dtype', type(value))}.")
+    if points.ndim != 2 or points.shape[1] not in (2, 3) or len(points) == 0:
+        raise ValueError(f"points must have shape (N, 2) or (N, 3), N > 0, but have {tuple(points.shape)}.")
+    if distances.shape != points.shape[:1] or normals.shape != points.shape:
+        raise ValueError(
+            f"There must be one distance and one normal for each of the {len(points)} points, of shapes "
+            f"{tuple(points.shape[:1])} and {tuple(points.shape)}, but they have {tuple(distances.shape)} and "
+            f"{tuple(normals.shape)}."
+        )
+    for name, value in (("points", points), ("distances", distances)):
+        bad = ~torch.isfinite(value.reshape(len(points), -1)).all(dim=1)
+        if bool(bad.any()):
+            i = int(bad.nonzero()[0, 0])
+            raise ValueError(f"{name}[{i}] is not finite: {value[i].tolist()}. Leave that sample out.")
+    if not bool((distances < 0).any()) or not bool((distances > 0).any()):
+        raise ValueError(
+            "Samples must lie on both sides of the surface, but all distances are "
+            f"{'>= 0' if bool((distances >= 0).all()) else '<= 0'}. Sample inside (negative) and outside (positive)."
+        )
+    return points.shape[1]
+
+
+def _check_bounds(bounds: Bounds | None, dimension: int) -> Float[Tensor, "2 d"]:
+    box = torch.tensor([list(corner) for corner in (_unit_box(dimension) if bounds is None else bounds)])
+    if box.shape != (2, dimension) or not bool((box[0] < box[1]).all()):
+        raise ValueError(
+            f"bounds must be a lower and an upper corner in {dimension} dimensions like the points, but are {bounds}."
+        )
+    return box.double()
+
+
+def _unit_box(dimension: int) -> Bounds:
+    return CUBE[0][:dimension], CUBE[1][:dimension]
+
+
+@torch.no_grad()
+def _fold(module: Siren | Mlp, middle: Tensor, half: float) -> None:
+    """Make module(x) what half * module((x - middle) / half) was."""
+    if half == 1 and not bool(middle.any()):
+        return
+    first, last = module.layers[0], module.layers[-1]
+    assert isinstance(first, nn.Linear)
+    assert isinstance(last, nn.Linear)
+    first.weight /= half
+    first.bias -= first.weight @ middle.to(first.weight)
+    last.weight *= half
+    last.bias *= half

@@ -1,0 +1,436 @@
+"""Make the surface of a solid out of a mesh as found in the wild, and say what was done.
+
+In this order: merge duplicate vertices, drop faces without area and doubled faces, separate sheets that touch in
+a vertex, choose bodies, orient neighbours alike, close holes, turn faces outwards.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+import igl
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import sparse
+from scipy.sparse import csgraph
+from scipy.spatial import cKDTree
+
+from meshref.check import FLATTEST_FACE, MeshError, as_arrays, check_mesh, intersecting_faces, place, relative_heights
+from meshref.measures import face_areas, signed_volume
+from meshref.topology import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    boundary_loops,
+    corner_fans,
+    edge_table,
+    flips_to_agree,
+    half_edges,
+    vertex_components,
+)
+
+# A part with less volume than this, relative to its area to the power 3/2 (0.094 for a ball), is flat.
+FLAT = 1e-9
+
+# Loops up to this length are filled by the triangulation of least area (time grows with the cube); longer by a fan.
+LONGEST_FILLED_LOOP = 600
+
+
+@dataclass(frozen=True, eq=False)
+class MendReport:
+    """What mend_mesh did, as sentences and as numbers."""
+
+    steps: tuple[str, ...]  # plain sentences, in order; empty if the mesh was fine
+    vertex_map: IntArray = field(repr=False)  # (n,), new number of each vertex given, -1 where it was dropped
+    merged_vertices: int = 0
+    dropped_vertices: int = 0  # unreferenced, or of dropped bodies
+    dropped_faces: int = 0  # without area, doubled, or of dropped bodies
+    split_vertices: int = 0  # where sheets touched in a point
+    turned_faces: int = 0
+    holes: tuple[int, ...] = ()  # number of edges of each hole that was closed
+    open_holes: tuple[int, ...] = ()  # number of edges of each hole left open (closed=False)
+    bodies: int = 1  # connected solids in the result
+    cavities: int = 0  # surfaces inside a body, oriented towards its inside
+    self_intersections: int = 0  # pairs of faces that pass through each other; they are not mended
+
+    @property
+    def changed(self) -> bool:
+        """Whether the result differs from what was given."""
+        dropped = self.dropped_vertices + self.dropped_faces
+        return bool(self.merged_vertices + dropped + self.split_vertices + self.turned_faces + len(self.holes))
+
+
+def mend_mesh(
+    V: ArrayLike,
+    F: ArrayLike,
+    *,
+    merge_distance: float | None = None,
+    bodies: Literal["keep", "largest", "refuse"] = "keep",
+    hole_limit: float = 1.0,
+    closed: bool = True,
+) -> tuple[FloatArray, IntArray, MendReport]:
+    """Turn a mesh into the surface of a solid: closed, manifold, oriented outwards.
+
+    Vertices and faces that stay keep their order; faces that close holes come last. Faces that pass through each
+    other are counted, not mended.
+
+    Args:
+        V: Vertices, (n, 3).
+        F: Faces, (m, 3).
+        merge_distance: Vertices no farther apart than this become one, which also closes seams of texture coordinates.
+            None is 1e-8 of the diagonal of the box round the mesh.
+        bodies: What to do with several solids that are not connected: "keep" them, keep the one with the "largest"
+            area and its cavities, or "refuse".
+        hole_limit: Longest boundary of a hole that is closed, in diagonals of the box round the mesh.
+        closed: Whether a hole that is longer is refused; otherwise it is left open.
+
+    Returns:
+        V, F and the report.
+
+    Raises:
+        MeshError: Coordinates are not finite; indices are out of range; there are no faces; more than two faces meet in
+            an edge; a surface is one-sided or flat; a hole is too long; there are several bodies and they are refused.
+    """
+    V, F = as_arrays(V, F)
+    if bodies not in ("keep", "largest", "refuse"):
+        raise MeshError(f"bodies must be 'keep', 'largest' or 'refuse', but is {bodies!r}.")
+    steps: list[str] = []
+    size = float(np.linalg.norm(V.max(axis=0) - V.min(axis=0)))
+    given = len(V)
+    vertex_map = np.arange(given)
+
+    # Vertices that no face uses would be bodies of their own, and would merge with ones that are used.
+    V, F, vertex_map, unused = _drop_unused(V, F, vertex_map)
+    _say(steps, unused, "dropped {} unreferenced {}", "vertex", "vertices")
+    welded, left_apart = _weld(V, F, 1e-8 * size if merge_distance is None else merge_distance)
+    V, F, vertex_map = V[welded.kept], welded.F, _renumbered(vertex_map, welded.new_number)
+    _say(steps, welded.merged, "merged {} duplicate {}", "vertex", "vertices")
+    apart = "left {} duplicate {} apart, for more than two faces would meet in an edge"
+    _say(steps, left_apart, apart, "vertex", "vertices")
+    _say(steps, welded.flat, "removed {} {} without area", "face", "faces")
+    _say(steps, welded.doubled, "removed {} doubled {}", "face", "faces")
+    V, F, vertex_map, left_over = _drop_unused(V, F, vertex_map)
+    _say(steps, left_over, "dropped {} {} of removed faces", "vertex", "vertices")
+    V, F, split = _split_pinched_vertices(V, F)
+    _say(steps, split, "separated sheets that touched in {} {}", "vertex", "vertices")
+
+    V, F, vertex_map, other_faces, other_vertices, other_bodies = _choose_bodies(V, F, vertex_map, bodies)
+    _say(steps, other_bodies, "dropped {} smaller {}", "body", "bodies")
+    flip, one_sided = flips_to_agree(F, edge_table(F, len(V)))
+    if one_sided is not None:
+        raise MeshError(
+            f"the surface must have two sides, but the part of face {one_sided} near {place(V[F[one_sided, 0]])} has "
+            "one, like a Moebius strip: it bounds no solid. Cut it in a mesh editor."
+        )
+    before = F
+    F = _turned(F, flip)
+    F, holes, left_open = _close_holes(V, F, hole_limit * size, closed=closed)
+    F, parts, cavities = _face_outwards(V, F)
+    turned = int(np.count_nonzero((F[: len(before)] != before).any(axis=1)))
+    everywhere = "all " if turned == len(before) else ""
+    _say(steps, turned, f"turned {everywhere}{{}} {{}} that looked the wrong way", "face", "faces")
+    sizes = ", ".join(map(str, holes))
+    _say(steps, len(holes), f"closed {{}} {{}} (of {sizes} edges)", "hole", "holes")
+    _say(steps, len(left_open), f"left {{}} {{}} open (of {', '.join(map(str, left_open))} edges)", "hole", "holes")
+    if parts - cavities > 1:
+        steps.append(f"kept {parts - cavities} bodies that are not connected")
+    _say(steps, cavities, "took {} {} inside another for a cavity", "surface", "surfaces")
+    crossings = len(intersecting_faces(V, F))
+    _say(steps, crossings, "found {} {} of faces that pass through each other, and left them so", "pair", "pairs")
+    V, F = check_mesh(V, F, closed=not left_open, oriented=True)
+    report = MendReport(
+        steps=tuple(steps),
+        vertex_map=vertex_map,
+        merged_vertices=welded.merged,
+        dropped_vertices=unused + left_over + other_vertices,
+        dropped_faces=welded.flat + welded.doubled + other_faces,
+        split_vertices=split,
+        turned_faces=turned,
+        holes=tuple(holes),
+        open_holes=tuple(left_open),
+        bodies=parts - cavities,
+        cavities=cavities,
+        self_intersections=crossings,
+    )
+    return V, F, report
+
+
+def _say(steps: list[str], count: int, sentence: str, one: str, many: str) -> None:
+    if count:
+        steps.append(sentence.format(count, one if count == 1 else many))
+
+
+def _drop_unused(V: FloatArray, F: IntArray, vertex_map: IntArray) -> tuple[FloatArray, IntArray, IntArray, int]:
+    used = np.bincount(F.ravel(), minlength=len(V)) > 0
+    new = np.where(used, np.cumsum(used) - 1, -1)
+    return V[used], new[F], _renumbered(vertex_map, new), int(np.count_nonzero(~used))
+
+
+def _renumbered(vertex_map: IntArray, new: IntArray) -> IntArray:
+    return np.where(vertex_map >= 0, new[vertex_map], -1)
+
+
+class _Weld(NamedTuple):
+    kept: IntArray  # the vertices that stay
+    new_number: IntArray  # of every vertex
+    F: IntArray  # faces with area, each once
+    merged: int  # vertices merged into others
+    flat: int  # faces removed, without area
+    doubled: int  # faces removed, because they were there already
+
+
+def _weld(V: FloatArray, F: IntArray, distance: float) -> tuple[_Weld, int]:
+    """Merge close vertices and remove what this leaves of faces; also the number of vertices that are left apart.
+
+    Where a closed surface touches itself along an edge, merging would make that edge one of four faces. Such
+    vertices were never torn from each other, so if it comes to that, only vertices on open edges are merged.
+    """
+    attempt = _weld_some(V, F, distance, np.arange(len(V)))
+    if _crowded_edge(attempt, V) is None:
+        return attempt, 0
+    proper = F[~_repeats_a_corner(F)]
+    table = edge_table(proper, len(V))
+    second = _weld_some(V, F, distance, np.unique(table.edges[table.faces == 1]))
+    complaint = _crowded_edge(second, V)
+    if complaint is not None:
+        raise MeshError(complaint)
+    return second, attempt.merged - second.merged
+
+
+def _weld_some(V: FloatArray, F: IntArray, distance: float, candidates: IntArray) -> _Weld:
+    # Equal ones first: in a pile of k vertices there are k^2 / 2 close pairs.
+    points, first, pile = np.unique(V[candidates] + 0.0, axis=0, return_index=True, return_inverse=True)
+    pairs = np.zeros((0, 2), dtype=np.int64)
+    if distance > 0 and len(points):
+        pairs = candidates[first][cKDTree(points).query_pairs(distance, output_type="ndarray")]
+    ends = half_edges(F)
+    short = ends[np.linalg.norm(V[ends[:, 0]] - V[ends[:, 1]], axis=1) <= distance]  # the ends of an edge always
+    links = np.concatenate([pairs, np.stack([candidates, candidates[first][pile.reshape(-1)]], axis=1), short])
+    graph = sparse.coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(len(V), len(V)))
+    clusters, cluster = csgraph.connected_components(graph, directed=False)
+    earliest = np.full(clusters, len(V))
+    np.minimum.at(earliest, cluster, np.arange(len(V)))
+    kept = np.sort(earliest)  # the first of each cluster stays where it is
+    new_number = np.searchsorted(kept, earliest[cluster])
+    faces, flat = _drop_flat_faces(V[kept], new_number[F])
+    faces, doubled = _drop_doubled_faces(faces)
+    return _Weld(kept, new_number, faces, len(V) - len(kept), flat, doubled)
+
+
+def _crowded_edge(weld: _Weld, V: FloatArray) -> str | None:
+    table = edge_table(weld.F, len(weld.kept))
+    crowded = np.flatnonzero(table.faces > 2)
+    if not crowded.size:
+        return None
+    i, j = weld.kept[table.edges[crowded[0]]]
+    return (
+        f"more than two faces meet in {len(crowded)} edges, first {table.faces[crowded[0]]} in the edge from "
+        f"{place(V[i])} to {place(V[j])}: which of them bound the solid cannot be told. Cut them apart "
+        "in a mesh editor."
+    )
+
+
+def _repeats_a_corner(F: IntArray) -> BoolArray:
+    return np.any(np.roll(F, -1, axis=1) == F, axis=1)
+
+
+def _drop_flat_faces(V: FloatArray, F: IntArray) -> tuple[IntArray, int]:
+    """Remove faces without area. One with three distinct corners has a corner on its longest side: there the neighbour
+    is split at that corner, for otherwise a slit would stay."""
+    removed = 0
+    for _ in range(100):  # splitting a neighbour can leave a new face without area, of a smaller neighbour
+        repeated = _repeats_a_corner(F)
+        flat = np.flatnonzero(relative_heights(V, F) <= FLATTEST_FACE)
+        if not flat.size and not repeated.any():
+            break
+        gone: set[int] = set(np.flatnonzero(repeated).tolist())
+        touched: set[int] = set()
+        added: list[list[int]] = []
+        table = edge_table(F, len(V))
+        order = np.argsort(table.of_half_edge, kind="stable")
+        first = np.cumsum(table.faces) - table.faces
+        for f in flat.tolist():
+            if f in gone or f in touched:
+                continue
+            gone.add(f)
+            corners = V[F[f]]
+            c = int(np.argmax(((np.roll(corners, -1, axis=0) - corners) ** 2).sum(axis=1)))  # starts the longest side
+            edge = table.of_half_edge[3 * f + c]
+            sharing = order[first[edge] : first[edge] + table.faces[edge]]
+            others = [int(h) for h in sharing if h // 3 != f]
+            if len(others) != 1:
+                continue
+            g, k = divmod(others[0], 3)
+            if g in gone or g in touched:
+                gone.discard(f)  # next time round
+                continue
+            start, end, apex = np.roll(F[g], -k).tolist()
+            middle = int(F[f, (c + 2) % 3])
+            touched.update((f, g))
+            gone.add(g)
+            removed -= 2  # one face goes and one comes back in two
+            added += [[start, middle, apex], [middle, end, apex]]
+        removed += len(gone)
+        keep = np.setdiff1d(np.arange(len(F)), np.fromiter(gone, dtype=np.int64, count=len(gone)))
+        F = np.concatenate([F[keep], np.array(added, dtype=np.int64).reshape(-1, 3)])
+    return F, removed
+
+
+def _drop_doubled_faces(F: IntArray) -> tuple[IntArray, int]:
+    _, first = np.unique(np.sort(F, axis=1), axis=0, return_index=True)
+    return F[np.sort(first)], len(F) - len(first)
+
+
+def _split_pinched_vertices(V: FloatArray, F: IntArray) -> tuple[FloatArray, IntArray, int]:
+    fans, fan = corner_fans(F, edge_table(F, len(V)))
+    owner = np.zeros(fans, dtype=np.int64)
+    owner[fan] = F.ravel()
+    _, first_fan = np.unique(owner, return_index=True)
+    extra = np.setdiff1d(np.arange(fans), first_fan)  # every vertex keeps its first fan, the others get a copy of it
+    vertex_of_fan = owner.copy()
+    vertex_of_fan[extra] = len(V) + np.arange(len(extra))
+    pinched = len(np.unique(owner[extra]))
+    return np.concatenate([V, V[owner[extra]]]), vertex_of_fan[fan].reshape(-1, 3), pinched
+
+
+def _choose_bodies(
+    V: FloatArray, F: IntArray, vertex_map: IntArray, bodies: Literal["keep", "largest", "refuse"]
+) -> tuple[FloatArray, IntArray, IntArray, int, int, int]:
+    parts, part = vertex_components(F, len(V))
+    if bodies == "keep" or parts == 1:
+        return V, F, vertex_map, 0, 0, 0
+    inside = _containment(V, F, parts, part)
+    solid = np.flatnonzero(inside.sum(axis=1) % 2 == 0)
+    if bodies == "refuse":
+        if len(solid) > 1:
+            i, j = (int(np.argmax(part == k)) for k in solid[:2])
+            raise MeshError(
+                f"the mesh must be one body, but it has {len(solid)} that are not connected, first those of vertices "
+                f"{i} at {place(V[i])} and {j} at {place(V[j])}. Pass bodies='largest' or bodies='keep'."
+            )
+        return V, F, vertex_map, 0, 0, 0
+    areas = np.bincount(part[F[:, 0]], weights=face_areas(V, F), minlength=parts)
+    largest = solid[np.argmax(areas[solid])]
+    keep = inside[:, largest] & (inside.sum(axis=1) == inside[largest].sum() + 1)  # its cavities, not what is in them
+    keep[largest] = True
+    kept_faces = keep[part[F[:, 0]]]
+    before, dropped_faces = len(V), int(np.count_nonzero(~kept_faces))
+    V, F, vertex_map, _ = _drop_unused(V, F[kept_faces], vertex_map)
+    return V, F, vertex_map, dropped_faces, before - len(V), len(solid) - 1
+
+
+def _containment(V: FloatArray, F: IntArray, parts: int, part: IntArray) -> BoolArray:
+    """Entry [a, b] says whether part a lies inside part b, (parts, parts); boxes first, then the winding number."""
+    face_part = part[F[:, 0]]
+    lower, upper = np.full((parts, 3), np.inf), np.full((parts, 3), -np.inf)
+    np.minimum.at(lower, part, V)
+    np.maximum.at(upper, part, V)
+    probe = V[np.unique(part, return_index=True)[1]]
+    inside = np.zeros((parts, parts), dtype=np.bool_)
+    for b in range(parts):
+        candidates = np.flatnonzero((lower > lower[b]).all(axis=1) & (upper < upper[b]).all(axis=1))
+        if candidates.size:
+            winding = np.asarray(igl.winding_number(V, F[face_part == b], probe[candidates])).reshape(-1)
+            inside[candidates, b] = np.abs(winding) > 0.5
+    return inside
+
+
+def _turned(F: IntArray, flip: BoolArray) -> IntArray:
+    return np.where(flip[:, None], F[:, [0, 2, 1]], F)
+
+
+def _close_holes(V: FloatArray, F: IntArray, limit: float, *, closed: bool) -> tuple[IntArray, list[int], list[int]]:
+    table = edge_table(F, len(V))
+    loops = sorted(boundary_loops(F, table), key=len)
+    existing = set(map(tuple, table.edges.tolist()))
+    holes, left_open, filled = [], [], [F]
+    for loop in loops:
+        length = float(np.linalg.norm(V[loop] - V[np.roll(loop, -1)], axis=1).sum())
+        if length > limit:
+            if closed:
+                raise MeshError(
+                    f"the mesh has a hole of {len(loop)} edges at {place(V[loop[0]])}, {length:.4g} round, longer than "
+                    f"the limit of {limit:.4g}. Raise hole_limit to close it, or pass closed=False to leave it open."
+                )
+            left_open.append(len(loop))
+            continue
+        patch = _fill(V, loop[::-1], existing)  # the other way round than the faces beside it
+        filled.append(patch)
+        existing |= set(map(tuple, np.sort(half_edges(patch), axis=1).tolist()))
+        holes.append(len(loop))
+    return np.concatenate(filled), holes, left_open
+
+
+def _fill(V: FloatArray, loop: IntArray, existing: set[tuple[int, int]]) -> IntArray:
+    """Triangles over a closed loop of vertices, of least area, with no new vertex and no edge that exists already.
+
+    best[i, j] is the cheapest triangulation of the polygon i..j, by splitting off the triangle i, k, j.
+    Source: Barequet and Sharir, "Filling gaps in the boundary of a polyhedron", 1995.
+    """
+    n = len(loop)
+    if n > LONGEST_FILLED_LOOP:
+        raise MeshError(
+            f"a hole of {n} edges at {place(V[loop[0]])} is too long to fill (limit {LONGEST_FILLED_LOOP}). Close it "
+            "in a mesh editor, or pass closed=False and a lower hole_limit to leave it open."
+        )
+    P = V[loop]
+    squared = ((P[:, None] - P[None]) ** 2).sum(axis=2)
+    taken = np.zeros((n, n), dtype=bool)
+    for i, v in enumerate(loop.tolist()):
+        for j in range(i + 2, n):
+            w = int(loop[j])
+            taken[i, j] = (min(v, w), max(v, w)) in existing and (i, j) != (0, n - 1)
+    best = np.full((n, n), np.inf)
+    split = np.zeros((n, n), dtype=np.int64)
+    best[np.arange(n - 1), np.arange(1, n)] = 0
+    for span in range(2, n):
+        for i in range(n - span):
+            j = i + span
+            if taken[i, j]:
+                continue
+            between = slice(i + 1, j)
+            doubled = np.linalg.norm(np.cross(P[between] - P[i], P[j] - P[i]), axis=1)
+            longest = np.maximum(squared[i, j], np.maximum(squared[i, between], squared[between, j]))
+            # In a flat hole all ways have one area: the second term prefers short edges. Flat triangles never.
+            cost = doubled / 2 + 1e-3 * longest + np.where(doubled > FLATTEST_FACE * longest, 0.0, np.inf)
+            cost = cost + best[i, between] + best[between, j]
+            at = int(np.argmin(cost))
+            best[i, j], split[i, j] = cost[at], i + 1 + at
+    if not np.isfinite(best[0, n - 1]):
+        raise MeshError(
+            f"the hole of {n} edges at {place(P[0])} cannot be closed without faces that lie on others. "
+            "Close it in a mesh editor."
+        )
+    triangles: list[list[int]] = []
+    stack = [(0, n - 1)]
+    while stack:
+        i, j = stack.pop()
+        if j - i < 2:
+            continue
+        k = int(split[i, j])
+        triangles.append([int(loop[i]), int(loop[k]), int(loop[j])])
+        stack += [(i, k), (k, j)]
+    return np.array(triangles, dtype=np.int64)
+
+
+def _face_outwards(V: FloatArray, F: IntArray) -> tuple[IntArray, int, int]:
+    """Orient each part outwards, or inwards where it is a cavity: inside an odd number of others."""
+    parts, part = vertex_components(F, len(V))
+    inside = _containment(V, F, parts, part) if parts > 1 else np.zeros((1, 1), dtype=np.bool_)
+    cavity = inside.sum(axis=1) % 2 == 1
+    face_part = part[F[:, 0]]
+    flip = np.zeros(len(F), dtype=np.bool_)
+    for k in range(parts):
+        faces = F[face_part == k]
+        # Measured about its own middle, so that the sign means something for a part that has been left open.
+        vertices, renumbered = np.unique(faces, return_inverse=True)
+        own = V[vertices]
+        enclosed = signed_volume(own, renumbered.reshape(-1, 3))
+        if abs(enclosed) <= FLAT * face_areas(V, faces).sum() ** 1.5:
+            raise MeshError(
+                f"the part of vertex {vertices[0]} at {place(own[0])} with {len(faces)} faces is flat: it bounds no "
+                "solid. Remove it in a mesh editor, or pass bodies='largest' if there are others."
+            )
+        flip[face_part == k] = (enclosed < 0) != cavity[k]
+    return _turned(F, flip), parts, int(np.count_nonzero(cavity))
