@@ -10,8 +10,7 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from dataclasses import field as default
+from dataclasses import dataclass, field as default
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -72,6 +71,11 @@ class HandleSpec:
     def __post_init__(self) -> None:
         _require_numbers("region", self.region, REGIONS)
         _require_numbers("motion", self.motion, MOTIONS)
+
+    @property
+    def holds(self) -> bool:
+        """Whether it is an anchor: a part that is to stay where it is."""
+        return self.motion["kind"] == "vector" and not np.any(self.motion["vector"])
 
     def build(self) -> Handle:
         """The handle for the editors of `implicit`."""
@@ -254,7 +258,7 @@ def _rounded(point: ndarray) -> list[float]:
 
 
 def _require_numbers(what: str, given: Mapping[str, Any], kinds: Mapping[str, tuple[str, ...]]) -> None:
-    kind = given.get("kind")
+    kind = str(given.get("kind"))
     if kind not in kinds:
         raise ValueError(f"The kind of a {what} must be one of {', '.join(kinds)}, but is {kind!r}.")
     unknown = set(given) - {"kind", *kinds[kind]}

@@ -90,10 +90,8 @@ class Figures:
     """Where the pictures go; by default figures/ in the run folder."""
     formats: tuple[Literal["png", "pdf", "svg"], ...] = ("png", "pdf")
     """Which kinds."""
-    azimuth: float = 30.0
-    """Degrees about the vertical, from where to look."""
-    elevation: float = 20.0
-    """Degrees above the horizon."""
+    azimuth: float | None = None
+    """Degrees about the y axis, from where to look; by default where most of what moves is seen."""
 
 
 Command = Run | Shapes | Fit | Report | Figures
@@ -258,7 +256,7 @@ def figures(command: Figures) -> int:
     """Paint the pictures from the rows and meshes that are there."""
     from compare.figures import Camera, draw_figures
 
-    camera = Camera(command.azimuth, command.elevation)
+    camera = None if command.azimuth is None else Camera(command.azimuth)
     try:
         written = draw_figures(
             _records_of(command.folder), command.folder, output=command.output, formats=command.formats, camera=camera
@@ -278,7 +276,9 @@ def _require_run_folder(folder: Path, resume: bool) -> None:
         raise InputError(f"The output {folder} is a file, but a run is written to a folder. Name another.")
     if (folder / FILE).exists():
         if not resume:
-            raise InputError(f"The folder {folder} already holds a run. Name another, or add --resume to go on with it.")
+            raise InputError(
+                f"The folder {folder} already holds a run. Name another, or add --resume to go on with it."
+            )
         try:
             read(folder)
         except ValueError as error:
@@ -325,15 +325,16 @@ def _silent(_: str) -> None:
 
 
 def _print_table(records: list[Record], said: list[str]) -> None:
+    from rich import box
     from rich.console import Console
     from rich.table import Table
 
     from compare.table import COLUMNS, lines, text
 
     columns = [(k, column) for k, column in enumerate(COLUMNS) if column.brief]
-    table = Table("shape", "edit", "by")
+    table = Table("shape", "edit", "by", box=box.SIMPLE_HEAD, padding=(0, 1))
     for _, column in columns:
-        table.add_column(column.title, justify="right")
+        table.add_column(column.title, justify="right", no_wrap=True)
     for record in records:
         for shape, operation, side, _, values in lines(record):
             table.add_row(shape, operation, side, *(text(values[k], column) for k, column in columns))
@@ -384,4 +385,3 @@ def _advance(bars: Bars | None, task: Any) -> None:
 def _finish(bars: Bars | None, task: Any, name: str) -> None:
     if bars is not None:
         bars.update(task, completed=1, total=1, what="done")
-

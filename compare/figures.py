@@ -23,7 +23,8 @@ from numpy import ndarray
 
 from compare.case import HandleSpec
 from compare.records import Record
-from compare.views import PANES, View, colour_limit, load_views, simplified
+from compare.table import COLUMNS, number, text
+from compare.views import ELEVATION, PANES, View, azimuth_of, colour_limit, load_views, simplified
 
 # Moreland's map, made for shaded surfaces: diverging about zero, even in lightness on both sides.
 COLOURS = "coolwarm"
@@ -34,8 +35,8 @@ SURFACE, HELD, MOVED = to_rgb("#c9ccd1"), to_rgb("#4c72b0"), to_rgb("#dd8452")
 class Camera:
     """Where a picture is taken from, looking at the middle of the shape with the y axis up."""
 
-    azimuth: float = 30.0  # degrees about the y axis, 0 looks along -z
-    elevation: float = 20.0  # degrees above the horizon
+    azimuth: float  # degrees about the y axis, 0 looks along -z
+    elevation: float = ELEVATION  # degrees above the horizon
 
     def axes(self) -> Float[ndarray, "3 3"]:
         """Right, up and towards the viewer, as rows."""
@@ -60,7 +61,7 @@ def draw_figures(
         folder: The run folder, where their meshes are.
         output: Where the pictures go; None is `figures` in the run folder.
         formats: What matplotlib can write: png, pdf, svg.
-        camera: Where from; None looks from the upper right.
+        camera: Where from; None looks to where most of what moves is seen.
 
     Returns:
         The files written.
@@ -87,7 +88,7 @@ def draw_figures(
 
 def picture(records: Sequence[Record], folder: Path, *, camera: Camera | None = None) -> Figure:
     """Rows of before, neural field and mesh, a record each."""
-    camera = camera or Camera()
+    camera = camera or Camera(azimuth_of(records, folder))
     figure = Figure(figsize=(8.6, 2.75 * len(records)), layout="constrained")
     grid = figure.subplots(len(records), 3, squeeze=False)
     for row, record in zip(grid, records, strict=True):
@@ -124,14 +125,16 @@ def paint(axes: Axes, view: View, colours: Float[ndarray, "m 3"], camera: Camera
     flat = np.stack([corners[order] @ right, corners[order] @ up], axis=-1)
     painted = np.clip(colours[order] * shade[:, None], 0, 1)
     # Edges in the colour of their face close the hairlines between neighbours.
-    axes.add_collection(PolyCollection(flat, facecolors=painted, edgecolors=painted, linewidths=0.3, rasterized=True))
+    axes.add_collection(
+        PolyCollection(list(flat), facecolors=painted, edgecolors=painted, linewidths=0.3, rasterized=True)
+    )
     axes.autoscale_view()
     axes.set_aspect("equal")
     axes.set_axis_off()
 
 
 def _handle_colours(view: View, handles: Sequence[HandleSpec]) -> Float[ndarray, "m 3"]:
-    palette = np.array([SURFACE, *(HELD if _holds(h) else MOVED for h in handles)])
+    palette = np.array([SURFACE, *(HELD if h.holds else MOVED for h in handles)])
     return palette[view.values.astype(int)][view.F].mean(axis=1)
 
 
@@ -144,23 +147,20 @@ def _draw_motion(axes: Axes, view: View, record: Record, camera: Camera) -> None
     screen = camera.axes()[:2]
     for number, handle in enumerate(record.case.handles, start=1):
         held = view.V[view.values == number]
-        if handle.motion["kind"] == "vector" and not _holds(handle) and len(held):
+        if handle.motion["kind"] == "vector" and not handle.holds and len(held):
             start = screen @ held.mean(axis=0)
             end = start + screen @ np.asarray(handle.motion["vector"]) * float(record.subject["scale"])
             axes.annotate("", end, start, arrowprops={"arrowstyle": "->", "lw": 1.4}, zorder=5)
 
 
-def _holds(handle: HandleSpec) -> bool:
-    return handle.motion["kind"] == "vector" and not np.any(handle.motion["vector"])
-
-
 def _headline(record: Record, side: str) -> str:
-    row = record.sides[side]
-    if record.case.operation == "geometric":
-        return f"error {100 * row['error_relative']:.2g} % of the bump"
-    if record.case.operation == "smooth":
-        return f"volume {100 * row['volume_drift']:+.2g} %"
-    return f"Killing energy {row['killing_energy']:.3g}"
+    name, words = {
+        "geometric": ("error_relative", "error {} of the bump"),
+        "smooth": ("volume_drift", "volume {}"),
+        "rigid": ("killing_energy", "Killing energy {}"),
+    }[record.case.operation]
+    column = next(c for c in COLUMNS if c.name == name)
+    return words.format(text(number(record.sides[side], column), column))
 
 
 def _same_frame(row: Sequence[Axes]) -> None:

@@ -16,7 +16,7 @@ _drift are pure numbers.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -28,7 +28,7 @@ from compare.case import Case
 from compare.operations import Outcome, Wanted
 from compare.subject import Subject
 
-FORMS = {
+FORMS: dict[str, Literal["membrane", "ambient", "notebook", "spokes-and-rims"]] = {
     "killing_energy": "membrane",
     "killing_ambient": "ambient",
     "killing_notebook": "notebook",
@@ -42,9 +42,7 @@ ERROR_MEANS = {
 }
 
 
-def error_field(
-    case: Case, subject: Subject, wanted: Wanted, own: Outcome, other: Outcome
-) -> Float[ndarray, " n"]:
+def error_field(case: Case, subject: Subject, wanted: Wanted, own: Outcome, other: Outcome) -> Float[ndarray, " n"]:
     """The error at each vertex of the common mesh, in the field's units; what it means stands in ERROR_MEANS."""
     if case.operation == "geometric":
         return ((own.displacement - wanted.displacement) * subject.N).sum(axis=1)
@@ -108,7 +106,7 @@ def measure_field(subject: Subject, edited: implicit.Field, resolution: int = 64
     They take the place of those of the common mesh carried along, which has the error of its flat triangles.
     """
     samples = [(field, implicit.surface_quadrature(field, resolution)) for field in (subject.field, edited)]
-    row = {}
+    row: dict[str, float] = {}
     for name, functional, power in (("volume", implicit.Volume(), 3), ("area", implicit.Area(), 2)):
         before, after = (functional.value(field, sample) for field, sample in samples)
         row |= {

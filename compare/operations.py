@@ -12,8 +12,7 @@ Both start from the common mesh of the subject and give a displacement of its ve
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from dataclasses import field as default
+from dataclasses import dataclass, field as default
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -148,7 +147,9 @@ def edit_mesh(case: Case, subject: Subject, wanted: Wanted, progress: Progress |
     handles = np.flatnonzero(wanted.at)
     result = meshref.killing(subject.V, subject.F, handles, wanted.displacement[handles], **options)
     seconds = perf_counter() - start
-    return Outcome(result.displacement, "Killing least squares", result.status.value, seconds, None, dict(result.seconds))
+    return Outcome(
+        result.displacement, "Killing least squares", result.status.value, seconds, None, dict(result.seconds)
+    )
 
 
 def edit_mesh_by_arap(case: Case, subject: Subject, wanted: Wanted) -> Outcome:
@@ -157,9 +158,7 @@ def edit_mesh_by_arap(case: Case, subject: Subject, wanted: Wanted) -> Outcome:
     start = perf_counter()
     result = meshref.arap(subject.V, subject.F, handles, subject.V[handles] + wanted.displacement[handles])
     seconds = perf_counter() - start
-    return Outcome(
-        result.V - subject.V, "ARAP", result.status.value, seconds, None, {"iterations": result.iterations}
-    )
+    return Outcome(result.V - subject.V, "ARAP", result.status.value, seconds, None, {"iterations": result.iterations})
 
 
 def _teller(progress: Progress | None, what: str) -> Callable[[int, int, Mapping[str, Any]], None]:

@@ -13,9 +13,8 @@ import json
 import math
 import os
 import platform
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from dataclasses import field as default
+from collections.abc import Mapping
+from dataclasses import dataclass, field as default
 from datetime import UTC, datetime
 from importlib import metadata
 from os import PathLike
@@ -54,7 +53,7 @@ class Record:
     sides: Mapping[str, Mapping[str, Any]] = default(default_factory=dict)  # "implicit", "mesh" -> numbers and words
     between: Mapping[str, Any] = default(default_factory=dict)  # distances between the two results
     seconds: Mapping[str, float] = default(default_factory=dict)  # of the phases that both sides share
-    notes: Sequence[str] = ()  # sentences: what was mended, what a reader should know
+    notes: tuple[str, ...] = ()  # sentences: what was mended, what a reader should know
     artefacts: Mapping[str, Artefact] = default(default_factory=dict)
     provenance: Mapping[str, Any] = default(default_factory=dict)
     schema: int = SCHEMA
@@ -80,6 +79,7 @@ class Record:
             )
         known = {f.name for f in dataclasses.fields(cls)}
         rest = {k: v for k, v in row.items() if k in known}
+        rest["notes"] = tuple(row["notes"])
         rest["case"] = Case.from_dict(row["case"])
         rest["artefacts"] = {name: Artefact(**a) for name, a in row["artefacts"].items()}
         return cls(**rest)
@@ -132,7 +132,7 @@ def provenance(seed: int) -> dict[str, Any]:
     """Versions, machine and settings that a number may depend on."""
     import torch
 
-    versions = {}
+    versions: dict[str, str | None] = {}
     for name in PACKAGES:
         try:
             versions[name] = metadata.version(name)

@@ -15,24 +15,22 @@ from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from compare.records import Record, plain, replace_file
 from compare.table import COLUMNS, lines, text
 
-if TYPE_CHECKING:
-    from compare.views import View
-
 # Bytes of a face with its share of vertices, all three views of a case, in base64; and what a report may use of them.
 BYTES_PER_FACE = 45
 BUDGET = 4_000_000
 
+# The page has one light, from the upper front, so shapes are turned to show it the side that counts.
+AZIMUTH = 25.0
 
-def report(
-    records: Sequence[Record], path: str | PathLike[str], *, folder: str | PathLike[str] | None = None
-) -> Path:
+
+def report(records: Sequence[Record], path: str | PathLike[str], *, folder: str | PathLike[str] | None = None) -> Path:
     """Write the report of some records.
 
     Args:
@@ -55,7 +53,7 @@ def report(
     arrays: dict[str, str] = {}
     drawn = [r for r in records if r.artefacts]
     faces = int(np.clip(BUDGET / BYTES_PER_FACE / max(len(drawn), 1), 1000, 20_000))
-    scenes = [_scene(record, folder, faces, arrays) for record in drawn]
+    scenes = [_scene(record, folder, faces, arrays, azimuth) for record, azimuth in _looks(drawn, folder)]
     content = page.substitute(
         plotly=_plotly(),
         summary=_summary(records),
@@ -68,11 +66,22 @@ def report(
     return path
 
 
-def _scene(record: Record, folder: Path, faces: int, arrays: dict[str, str]) -> dict[str, Any]:
+def _looks(records: Sequence[Record], folder: Path) -> list[tuple[Record, float]]:
+    """Each record with the direction to look from, the same for all of one shape."""
+    from compare.views import azimuth_of
+
+    of_shape = {name: [r for r in records if r.case.name == name] for name in {r.case.name for r in records}}
+    azimuth = {name: azimuth_of(group, folder) for name, group in of_shape.items()}
+    return [(record, azimuth[record.case.name]) for record in records]
+
+
+def _scene(record: Record, folder: Path, faces: int, arrays: dict[str, str], azimuth: float) -> dict[str, Any]:
     """What the browser needs to draw a case."""
-    from compare.views import colour_limit, load_views, simplified
+    from compare.views import View, colour_limit, load_views, simplified
 
     views = {name: simplified(view, faces) for name, view in load_views(record, folder).items()}
+    turn = _about_y(AZIMUTH - azimuth)
+    views = {name: View(view.V @ turn.T, view.F, view.values) for name, view in views.items()}
     limit = colour_limit([views["implicit"], views["mesh"]])
     every = np.concatenate([view.V for view in views.values()])
     lower, upper = every.min(axis=0), every.max(axis=0)
@@ -87,8 +96,14 @@ def _scene(record: Record, folder: Path, faces: int, arrays: dict[str, str]) -> 
             "wide": len(view.V) > 65535,
             "values": _keep(arrays, view.values.astype("<f4")),
         }
-    holds = [not np.any(h.motion.get("vector", 1)) for h in record.case.handles]
-    return {"panes": panes, "limit": limit, "holds": holds, "half": ((upper - lower) / side / 2 * 1.04).tolist()}
+    holds = [handle.holds for handle in record.case.handles]
+    half = (upper - lower) / side / 2 * 1.04
+    return {"panes": panes, "limit": limit, "holds": holds, "half": half.tolist()}
+
+
+def _about_y(degrees: float) -> np.ndarray:
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
 
 
 def _keep(arrays: dict[str, str], array: np.ndarray) -> str:
@@ -123,7 +138,7 @@ def _section(record: Record, number: int) -> str:
 
 
 def _pane_titles(record: Record) -> dict[str, str]:
-    held = any(not np.any(h.motion.get("vector", 1)) for h in record.case.handles)
+    held = any(handle.holds for handle in record.case.handles)
     before = "before" if not record.case.handles else f"before; orange moves{', blue is held' if held else ''}"
     return {
         "before": before,
@@ -133,7 +148,7 @@ def _pane_titles(record: Record) -> dict[str, str]:
 
 
 def _table(records: Sequence[Record]) -> str:
-    head = "".join(f'<th title="{html.escape(c.explains)}">{html.escape(c.title)}</th>' for c in COLUMNS)
+    head = "".join(f'<th class="number" title="{html.escape(c.explains)}">{html.escape(c.title)}</th>' for c in COLUMNS)
     body = []
     for record in records:
         for shape, operation, side, method, values in lines(record):

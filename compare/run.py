@@ -9,6 +9,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 from scipy.spatial import cKDTree
@@ -17,15 +18,13 @@ import implicit
 import meshref
 from compare import records
 from compare.case import Case
-from compare.measure import ERROR_MEANS, between, error_field, measure_field, measure, strain
+from compare.measure import ERROR_MEANS, between, error_field, measure, measure_field, strain
 from compare.operations import Outcome, Wanted, edit_field, edit_mesh, edit_mesh_by_arap, wanted_motion
 from compare.records import Artefact, Record
 from compare.subject import Progress, Subject, describe, prepare_subject
 
 
-def run_case(
-    case: Case, *, folder: str | PathLike[str] | None = None, progress: Progress | None = None
-) -> Record:
+def run_case(case: Case, *, folder: str | PathLike[str] | None = None, progress: Progress | None = None) -> Record:
     """Edit the shape of a case as a field and as a mesh, and compare.
 
     Args:
@@ -79,7 +78,7 @@ def run_case(
         sides=rows,
         between=distances,
         seconds=seconds,
-        notes=[*subject.notes, *_remarks(subject, rows)],
+        notes=(*subject.notes, *_remarks(subject, rows)),
         artefacts=artefacts,
         provenance=records.provenance(case.seed),
     )
@@ -183,10 +182,18 @@ def _write(
     length = 1.0 if case.operation == "rigid" else subject.scale
 
     meshref.write_mesh(paths["before"], subject.to_user(subject.V), subject.F, quality=wanted.handle.astype(float))
-    # The surface of the edited field has vertices of its own; each takes the error of the nearest tracked one.
     V, F = result
-    nearest = cKDTree(subject.V + sides["implicit"].displacement).query(V)[1]
-    meshref.write_mesh(paths["implicit"], subject.to_user(V), F, quality=errors["implicit"][nearest] * length)
+    error = _carried_over(subject.V + sides["implicit"].displacement, errors["implicit"], V)
+    meshref.write_mesh(paths["implicit"], subject.to_user(V), F, quality=error * length)
     moved = subject.V + sides["mesh"].displacement
     meshref.write_mesh(paths["mesh"], subject.to_user(moved), subject.F, quality=errors["mesh"] * length)
     return {name: Artefact.of(path, folder) for name, path in paths.items()}
+
+
+def _carried_over(
+    points: Float[ndarray, "n 3"], values: Float[ndarray, " n"], V: Float[ndarray, "k 3"]
+) -> Float[ndarray, " k"]:
+    """Values known at points, at other points of the same surface: the mean of the three nearest, by closeness."""
+    distance, nearest = cKDTree(points).query(V, k=3)
+    weight = 1 / np.maximum(distance, 1e-12)
+    return (values[nearest] * weight).sum(axis=1) / weight.sum(axis=1)

@@ -9,8 +9,7 @@ from __future__ import annotations
 import difflib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from dataclasses import field as default
+from dataclasses import dataclass, field as default
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -71,8 +70,8 @@ def check_shape(shape: str) -> list[str]:
         close = difflib.get_close_matches(shape, BUNDLED, n=1)
         hint = f" Did you mean {close[0]}?" if close else ""
         raise InputError(
-            f"A shape is one of {', '.join(BUNDLED)}, or a file ending in {', '.join(MESH_SUFFIXES)} or {FIELD_SUFFIX}, "
-            f"but got {shape!r}.{hint}"
+            f"A shape is one of {', '.join(BUNDLED)}, or a file ending in {', '.join(MESH_SUFFIXES)} or "
+            f"{FIELD_SUFFIX}, but got {shape!r}.{hint}"
         )
     if not path.is_file():
         raise InputError(f"There is no file {shape}. Check the path; bundled shapes are {', '.join(BUNDLED)}.")

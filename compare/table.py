@@ -20,13 +20,26 @@ class Column:
     brief: bool = True  # whether the table of a terminal, 80 characters wide, has it
 
 
+SIDES = {"implicit": "neural", "mesh": "mesh", "mesh, ARAP": "ARAP"}
+
 COLUMNS = (
-    Column("killing_energy", "Killing", "Killing energy: integral of |P(J+J')P|² over the common mesh, a squared length"),
-    Column("volume_drift", "volume", "volume after over before, minus one; of the field itself for the neural side", True),
+    Column(
+        "killing_energy", "Killing", "Killing energy: integral of |P(J+J')P|² over the common mesh, a squared length"
+    ),
+    Column(
+        "volume_drift", "volume", "volume after over before, minus one; of the field itself for the neural side", True
+    ),
     Column("area_drift", "area", "area after over before, minus one; of the field itself for the neural side", True),
-    Column("handle_error_relative", "missed", "rms distance from the targets, over the largest displacement asked for", True),
-    Column("error_relative", "normal", "the same of the motion along the normal alone, for geometric edits", True, False),
-    Column("strain_rms", "strain", "rms of the local linear strain, for rigid edits", True),
+    Column(
+        "handle_error_relative",
+        "missed",
+        "rms distance from the targets, over the largest displacement asked for",
+        True,
+    ),
+    Column(
+        "error_relative", "normal", "the same of the motion along the normal alone, for geometric edits", True, False
+    ),
+    Column("strain_rms", "strain", "rms of the local linear strain, for rigid edits", True, False),
     Column("seconds", "s", "seconds of the editor alone"),
 )
 
@@ -41,6 +54,8 @@ def text(value: float | None, column: Column) -> str:
     if value is None:
         return ""
     if column.percent:
+        if abs(value) < 1e-9:  # rounding of the sums, no finding
+            return "0 %"
         return f"{100 * value:{'+' if column.name.endswith('_drift') else ''}.2g} %"
     return f"{value:.1f}" if column.name == "seconds" else f"{value:.3g}"
 
@@ -48,6 +63,12 @@ def text(value: float | None, column: Column) -> str:
 def lines(record: Record) -> list[tuple[str, str, str, str, list[float | None]]]:
     """A line for each side: shape, operation, side, method, and the values of COLUMNS."""
     return [
-        (record.case.name, record.case.operation, side, row["method"], [number(row, c) for c in COLUMNS])
+        (
+            record.case.name,
+            record.case.operation,
+            SIDES.get(side, side),
+            row["method"],
+            [number(row, c) for c in COLUMNS],
+        )
         for side, row in record.sides.items()
     ]

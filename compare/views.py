@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import meshref
 from compare.records import Record
 
 PANES = {"before": "before", "implicit": "neural field", "mesh": "mesh"}
+ELEVATION = 20.0  # degrees above the horizon, of the first look at a shape
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +61,22 @@ def simplified(view: View, faces: int) -> View:
     V, F = igl.qslim(view.V, view.F, faces)[:2]
     V, F = np.ascontiguousarray(V), np.ascontiguousarray(F)
     return View(V, F, view.values[cKDTree(view.V).query(V)[1]])
+
+
+def azimuth_of(records: Sequence[Record], folder: Path) -> float:
+    """Degrees about the y axis (0 looks along -z) from where most of what moves is seen, and a little from the side."""
+    seen = np.zeros(24)
+    angles = np.radians(15 * np.arange(24))
+    for record in records:
+        moves = [0, *(0 if handle.holds else 1 for handle in record.case.handles)]
+        if any(moves):
+            view = read_view(folder / record.artefacts["before"].path)
+            face = np.array(moves)[view.values.astype(int)][view.F].all(axis=1)
+            corners = view.V[view.F[face]]
+            areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            towards = np.stack([np.sin(angles), np.zeros(24), np.cos(angles)])
+            seen += np.clip(areas @ towards, 0, None).sum(axis=0)
+    return float(15 * np.argmax(seen) + 30)
 
 
 def colour_limit(views: list[View]) -> float:

@@ -10,7 +10,7 @@ With s = u - n . T this is D = T + n s, so its Jacobian needs no derivative of t
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -130,31 +130,49 @@ class DeformationSpace:
             yield slice(start, start + len(part)), rows
             start += len(part)
 
-    def strain_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k d d s"]]]:
-        """J + J^T of D in the surface's own axes (tangents first, normal last), as rows over the unknowns."""
+    def strain_rows(
+        self, points: Float[Tensor, "n d"], entries: Sequence[tuple[int, int]]
+    ) -> Iterator[tuple[slice, Float[Tensor, "e k s"]]]:
+        """Entries (a, b) of J + J^T in the surface's own axes (tangents first, normal last), as rows.
+
+        Of the parameters only the speed u and its slope appear, four rows a point, and each entry is a combination
+        of at most two of them.
+        """
         start = 0
-        d = self.field.dimension
-        for part in row_blocks(points, 2 * d * d * self.size):
+        last = self.field.dimension - 1
+        for part in row_blocks(points, (len(entries) + 4) * self.size):
             frame = Frame.at(self.field, part)
             axes, n = frame.axes, frame.normals
             u, du = _speed_and_slope(self.field, frame)
-            slope_of_n = _turned(frame.normal_slopes, axes)
-            s, ds = u, torch.einsum("nai,nip->nap", axes, du)
-            strain = torch.zeros(len(part), d, d, self.size, dtype=part.dtype, device=part.device)
-            theta = strain[..., : self.parameters]
-            _add_normal_part(theta, s, ds, slope_of_n)
+            du = axes @ du
+            shape = axes @ frame.normal_slopes @ axes.transpose(1, 2)
+            rows = torch.empty(len(entries), len(part), self.size, dtype=part.dtype, device=part.device)
+            for e, (a, b) in enumerate(entries):
+                own = rows[e, :, : self.parameters]
+                torch.mul(u, (shape[:, a, b] + shape[:, b, a])[:, None], out=own)
+                for here, there in ((a, b), (b, a)):
+                    if here == last:
+                        own += du[:, there]
             if self.tangential is not None:
                 phi, dphi = self.tangential.values(part), self.tangential.slopes(part)
-                # s = -n . T, so its slope is -(dn/dx)^T T - (dT/dx)^T n; then the strain of T itself.
-                slide = strain[..., self.parameters :]
-                s_T = -n[:, :, None] * phi[:, None, :]
-                ds_T = -torch.einsum("nji,nk->nijk", frame.normal_slopes, phi) - n[:, None, :, None] * dphi[:, :, None, :]
-                turned = torch.einsum("nai,nijk->najk", axes, ds_T)
-                _add_normal_part(slide, s_T.flatten(1), turned.flatten(2), slope_of_n)
-                along = torch.einsum("nai,nik->nak", axes, dphi)
-                own = axes[:, :, None, :, None] * along[:, None, :, None, :]  # dT_a/dx_b
-                slide += (own + own.transpose(1, 2)).flatten(3)
-            yield slice(start, start + len(part)), strain
+                along = axes @ dphi
+                # s = -n . T has the slope -(dn/dx)^T T - (dT/dx)^T n, in the surface's axes:
+                swing = axes @ frame.normal_slopes.transpose(1, 2)
+                for e, (a, b) in enumerate(entries):
+                    bend = -(shape[:, a, b] + shape[:, b, a])
+                    for i in range(self.field.dimension):
+                        first = self.parameters + i * phi.shape[1]
+                        own = rows[e, :, first : first + phi.shape[1]]
+                        weight = bend * n[:, i]
+                        for here, there in ((a, b), (b, a)):
+                            if here == last:
+                                weight = weight - swing[:, there, i]
+                        torch.mul(phi, weight[:, None], out=own)
+                        for here, there in ((a, b), (b, a)):
+                            # dT_here/dx_there, less what the normal part takes back of it
+                            share = axes[:, here, i] - (n[:, i] if here == last else 0)
+                            own += share[:, None] * along[:, there]
+            yield slice(start, start + len(part)), rows
             start += len(part)
 
 
@@ -164,14 +182,3 @@ def _speed_and_slope(field: Field, frame: Frame) -> tuple[Float[Tensor, "n p"], 
     u = q / -frame.lengths[:, None]
     bend = torch.einsum("nij,nj->ni", frame.hessians, frame.normals) / frame.lengths[:, None]  # slope of log |df/dx|
     return u, dq / -frame.lengths[:, None, None] - u[:, None, :] * bend[:, :, None]
-
-
-def _turned(matrix: Float[Tensor, "n d d"], axes: Float[Tensor, "n d d"]) -> Float[Tensor, "n d d"]:
-    return axes @ matrix @ axes.transpose(1, 2)
-
-
-def _add_normal_part(strain: Tensor, s: Tensor, ds: Tensor, slope_of_n: Tensor) -> None:
-    """Add n (ds)^T + (ds) n^T + 2 s sym(dn/dx), in axes where n is the last unit vector."""
-    strain[:, -1, :, :] += ds
-    strain[:, :, -1, :] += ds
-    strain += (slope_of_n + slope_of_n.transpose(1, 2))[..., None] * s[:, None, None, :]

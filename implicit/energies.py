@@ -91,13 +91,15 @@ class Killing:
 
     def rows(self, space: DeformationSpace) -> Iterator[Rows]:
         d = self.points.shape[1]
-        for where, strain in space.strain_rows(self.points):
-            weights = self.weights[where]
-            for a in range(d):
-                for b in range(a, d):
-                    share = 1.0 if b < d - 1 else (self.bending if a < d - 1 else self.thickness)
-                    # Off the diagonal each entry stands twice in the matrix, so it counts twice.
-                    share = share if a == b else 2 * share
-                    if share > 0:
-                        matrix = strain[:, a, b]
-                        yield Rows(matrix, torch.zeros_like(weights), share * weights)
+        entries = [(a, b) for a in range(d) for b in range(a, d)]
+        # Off the diagonal each entry stands twice in the matrix, so it counts twice.
+        shares = [(1.0 if a == b else 2.0) * self._share(a, b, d - 1) for a, b in entries]
+        used = [(entry, share) for entry, share in zip(entries, shares, strict=True) if share > 0]
+        for where, strain in space.strain_rows(self.points, [entry for entry, _ in used]):
+            weights = torch.cat([share * self.weights[where] for _, share in used])
+            yield Rows(strain.flatten(0, 1), torch.zeros_like(weights), weights)
+
+    def _share(self, a: int, b: int, normal: int) -> float:
+        if b < normal:
+            return 1.0
+        return self.bending if a < normal else self.thickness

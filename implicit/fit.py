@@ -200,7 +200,7 @@ def fit_field(
 
     value_error, normal_error = data.errors(module)
     _fold(module, middle, half)
-    field = Field(module, bounds=box.tolist(), units=units)
+    field = Field(module, bounds=(box[0].tolist(), box[1].tolist()), units=units)
     training = Training(
         steps=run.step,
         seconds=run.seconds_before + perf_counter() - start,
@@ -231,8 +231,8 @@ class _Samples:
         near = (distances.abs() < band).nonzero()[:, 0]
         if len(near) == 0:
             raise ValueError(
-                f"Some samples must lie within the band of {band:.3g} (in bounds of [-1, 1]), but the nearest has |distance| "
-                f"= {float(distances.abs().min()):.3g}. Sample the surface too, or widen the band."
+                f"Some samples must lie within the band of {band:.3g} (in bounds of [-1, 1]), but the nearest has "
+                f"|distance| = {float(distances.abs().min()):.3g}. Sample the surface too, or widen the band."
             )
         self.near_points, self.near_distances, self.near_normals = points[near], distances[near], normals[near]
         if not bool(torch.isfinite(self.near_normals).all()):
@@ -363,7 +363,7 @@ def _fold(module: Siren | Mlp, middle: Tensor, half: float) -> None:
     first, last = module.layers[0], module.layers[-1]
     assert isinstance(first, nn.Linear)
     assert isinstance(last, nn.Linear)
-    first.weight /= half
-    first.bias -= first.weight @ middle.to(first.weight)
-    last.weight *= half
-    last.bias *= half
+    first.weight.div_(half)
+    first.bias.sub_(first.weight @ middle.to(first.weight))
+    last.weight.mul_(half)
+    last.bias.mul_(half)

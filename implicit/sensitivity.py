@@ -19,8 +19,9 @@ from torch.func import grad, jvp, vmap
 
 from implicit.field import CHUNK, Field
 
-# Numbers in the largest block of B made at once: 64 MB in float64, which the caches of the linear algebra like.
-BLOCK = 8_000_000
+# Numbers in the largest block of B made at once, 256 MB in float64: enough rows for the symmetric product, whose
+# every call reads and writes the whole normal matrix.
+BLOCK = 32_000_000
 
 
 def basis(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n p"]:
@@ -66,11 +67,22 @@ def normal_displacement(
     if d_theta.shape != field.theta.shape:
         raise ValueError(f"d_theta must have shape {tuple(field.theta.shape)}, but has {tuple(d_theta.shape)}.")
     length = field.gradient_length(field.gradient(points))
-    change = [
-        jvp(lambda theta, part=part: field.function(theta, part), (field.theta,), (d_theta.to(field.theta),))[1]
-        for part in points.split(CHUNK)
-    ]
+    change = [_directional(field, part, d_theta.to(field.theta)) for part in points.split(CHUNK)]
     return -torch.cat(change) / length if change else points.new_zeros(0)
+
+
+def _directional(field: Field, points: Tensor, d_theta: Tensor) -> Tensor:
+    """df/dtheta . d_theta at each point."""
+    try:
+        return jvp(lambda theta: field.function(theta, points), (field.theta,), (d_theta,))[1]
+    except NotImplementedError:
+        # Some layers (weight norm) have no forward derivative. The backward pass is linear in its weights w, so
+        # the derivative of (B^T w) . d_theta by w is B d_theta, whatever w.
+        theta = field.theta.detach().requires_grad_()
+        with torch.enable_grad():
+            w = torch.zeros_like(points[:, 0]).requires_grad_()
+            (back,) = torch.autograd.grad(field.function(theta, points) @ w, theta, create_graph=True)
+            return torch.autograd.grad(back @ d_theta, w)[0]
 
 
 def adjoint(

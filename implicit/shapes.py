@@ -330,6 +330,8 @@ def _require_positive(shape: str, **lengths: float | Sequence[float]) -> None:
 
 class _Sphere(_Shape):
     name = "sphere"
+    radius: Tensor
+    center: Tensor
 
     def __init__(
         self, radius: float, center: Sequence[float], scale: float = 1.0, dtype: torch.dtype = torch.float64
@@ -357,6 +359,8 @@ class _Sphere(_Shape):
 
 class _Torus(_Shape):
     name = "torus"
+    R: Tensor
+    r: Tensor
 
     def __init__(self, R: float, r: float, dtype: torch.dtype = torch.float64) -> None:
         super().__init__()
@@ -382,6 +386,8 @@ class _Torus(_Shape):
 
 class _Box(_Shape):
     name = "box"
+    half_lengths: Tensor
+    center: Tensor
 
     def __init__(
         self, half_lengths: Sequence[float], center: Sequence[float], edge: float, dtype: torch.dtype = torch.float64
@@ -404,6 +410,9 @@ class _Box(_Shape):
 
 class _RoundedBox(_Shape):
     name = "rounded_box"
+    half_lengths: Tensor
+    radius: Tensor
+    center: Tensor
 
     def __init__(
         self, half_lengths: Sequence[float], radius: float, center: Sequence[float], dtype: torch.dtype = torch.float64
@@ -439,6 +448,9 @@ class _RoundedBox(_Shape):
 
 class _Capsule(_Shape):
     name = "capsule"
+    a: Tensor
+    b: Tensor
+    radius: Tensor
 
     def __init__(
         self, a: Sequence[float], b: Sequence[float], radius: float, dtype: torch.dtype = torch.float64
@@ -468,6 +480,9 @@ class _Capsule(_Shape):
 
 class _Cylinder(_Shape):
     name = "cylinder"
+    a: Tensor
+    b: Tensor
+    radius: Tensor
 
     def __init__(
         self, a: Sequence[float], b: Sequence[float], radius: float, edge: float, dtype: torch.dtype = torch.float64
@@ -497,6 +512,8 @@ class _Cylinder(_Shape):
 
 class _Ellipsoid(_Shape):
     name = "ellipsoid"
+    radii: Tensor
+    center: Tensor
 
     def __init__(self, radii: Sequence[float], center: Sequence[float], dtype: torch.dtype = torch.float64) -> None:
         super().__init__()

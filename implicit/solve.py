@@ -14,8 +14,10 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Literal, NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.linalg import blas
 from torch import Tensor
 
 Method = Literal["auto", "primal", "dual"]
@@ -93,6 +95,7 @@ class LeastSquares:
             self._kept_rows += len(target)
             if self._method == "dual" or (self._method == "auto" and self._kept_rows < self.size):
                 return
+            # Only its lower triangle is kept.
             self._normal = torch.zeros(self.size, self.size, dtype=self._like.dtype, device=self._like.device)
             for kept in self._kept:
                 self._accumulate(kept)
@@ -102,8 +105,7 @@ class LeastSquares:
 
     def _accumulate(self, rows: Rows) -> None:
         assert self._normal is not None
-        scaled = rows.matrix * rows.weights.sqrt()[:, None]
-        self._normal.addmm_(scaled.T, scaled)
+        add_gram(self._normal, rows.matrix * rows.weights.sqrt()[:, None])
 
     def trace(self) -> float:
         """Trace of the normal matrix, the scale that a relative damping refers to."""
@@ -191,7 +193,9 @@ class LeastSquares:
     def _objective(self, x: Tensor) -> float:
         if self._normal is None:
             return float(sum((r.weights * (r.matrix @ x.to(r.matrix) - r.target) ** 2).sum() for r in self._kept))
-        curved = float(x @ (self._normal @ x.to(self._normal)).double())
+        v = x.to(self._normal)
+        half = self._normal.tril() @ v
+        curved = float(2 * (v @ half) - v @ (self._normal.diagonal() * v))
         # Cancellation can leave a small negative number where the fit is all but exact.
         return max(0.0, self._square - 2 * float(self._right @ x) + curved)
 
@@ -215,6 +219,22 @@ def least_squares(
     for rows in blocks:
         problem.add(rows)
     return problem.solve(damping, constraints)
+
+
+def add_gram(total: Float[Tensor, "n n"], rows: Float[Tensor, "k n"]) -> None:
+    """Add the lower triangle of rows^T rows to the total, in place.
+
+    On the CPU by the symmetric rank-k product of BLAS, half the work of a full one.
+    """
+    if total.device.type != "cpu" or total.dtype not in (torch.float32, torch.float64):
+        total.addmm_(rows.T, rows)
+        return
+    product = blas.dsyrk if total.dtype == torch.float64 else blas.ssyrk
+    # The transposes are Fortran-ordered views; the upper triangle there is the lower one here.
+    out = total.numpy().T
+    result = product(1.0, rows.contiguous().numpy().T, beta=1.0, c=out, overwrite_c=1)
+    if result is not out and not np.shares_memory(result, out):
+        out[...] = result
 
 
 class _Primal:

@@ -140,7 +140,7 @@ class ArapSolver:
             iterations: Most iterations to do.
             tolerance: Stop when no vertex moves by more than this part of the mesh's size (the diagonal of its box).
                 Single-precision rotations leave a floor of about 1e-6.
-            energy_every: Iterations between rows of the history; an energy costs as much as four iterations.
+            energy_every: Iterations between rows of the history; an energy costs as much as five iterations.
             progress: Called with (iterations done, most iterations) after each.
 
         Raises:
@@ -209,7 +209,7 @@ class ArapSolver:
         return moved + blend if np.isfinite(blend).all() else moved
 
     def _placed(self, U: FloatArray, wanted: FloatArray) -> FloatArray:
-        placed = U * self._size + self._middle
+        placed = np.asarray(U * self._size + self._middle)
         placed[self.handle_vertices] = wanted
         return placed
 

@@ -150,8 +150,11 @@ def vertex_field(field: ArrayLike, V: FloatArray, name: str = "D") -> FloatArray
 
 
 def intersecting_faces(V: FloatArray, F: IntArray) -> IntArray:
-    """Pairs of faces that pass through each other, (k, 2); neighbours that only touch do not count."""
-    return np.asarray(igl.predicates.find_self_intersections(V, F)[1], dtype=np.int64).reshape(-1, 2)
+    """Pairs of faces that pass through each other, (k, 2); faces that touch in corners of both do not count."""
+    # libigl knows by the vertex numbers alone that neighbours may touch, so one place must have one number.
+    places, number = np.unique(V + 0.0, axis=0, return_inverse=True)
+    pairs = igl.predicates.find_self_intersections(places, number.reshape(-1)[F].astype(np.int64))[1]
+    return np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
 
 
 def relative_heights(V: FloatArray, F: IntArray) -> FloatArray:
@@ -159,7 +162,7 @@ def relative_heights(V: FloatArray, F: IntArray) -> FloatArray:
     sides = V[F] - V[np.roll(F, -1, axis=1)]
     longest = (sides**2).sum(axis=2).max(axis=1)
     twice_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-    return np.divide(twice_area, longest, out=np.zeros(len(F)), where=longest > 0)
+    return np.asarray(np.divide(twice_area, longest, out=np.zeros(len(F)), where=longest > 0))
 
 
 def place(point: FloatArray) -> str:

@@ -9,7 +9,7 @@ Source: Meyer, Desbrun, Schroeder, Barr, "Discrete differential-geometry operato
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -91,8 +91,7 @@ def laplacian(V: FloatArray, F: IntArray, cotangents: tuple[float, float] | None
     i, j = np.roll(F, -1, axis=1).ravel(), np.roll(F, -2, axis=1).ravel()  # the side opposite to each corner
     rows, columns = np.concatenate([i, j, i, j]), np.concatenate([j, i, i, j])
     entries = np.concatenate([-half, -half, half, half])
-    L: Any = sparse.coo_array((entries, (rows, columns)), shape=(len(V), len(V))).tocsc()
-    return L
+    return sparse.csc_array((entries, (rows, columns)), shape=(len(V), len(V)))
 
 
 def corner_cotangents(V: FloatArray, F: IntArray) -> FloatArray:

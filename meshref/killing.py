@@ -185,7 +185,9 @@ class KillingSolver:
         if method not in ("hard", "soft"):
             raise MeshError(f"method must be 'hard' or 'soft', but is {method!r}.")
         if handle_weights is not None and method == "hard":
-            raise MeshError("handle_weights belong to method='soft', but method is 'hard', which moves handles exactly.")
+            raise MeshError(
+                "handle_weights belong to method='soft', but method is 'hard', which moves handles exactly."
+            )
         if penalty is not None and (method == "hard" or not 0 < penalty < np.inf):
             raise MeshError(
                 f"penalty must be positive, and belongs to method='soft', but is {penalty!r} with {method!r}."
@@ -201,9 +203,12 @@ class KillingSolver:
             penalty = 1e6 / float(areas.sum())
         self.penalty = penalty
         if self.penalty is None:
-            self._free = np.setdiff1d(np.arange(3 * len(V)), fixed)
-            self._system = self._matrix[self._free][:, self._free].tocsc()
-            self._load = -self._matrix[self._free][:, fixed]
+            is_free = np.ones(3 * len(V), dtype=np.bool_)
+            is_free[fixed] = False
+            self._free = np.flatnonzero(is_free)
+            rows = self._matrix[self._free]
+            self._system = sparse.csc_array(rows[:, self._free])
+            self._load = -rows[:, fixed]
         else:
             weights = self.penalty * np.repeat(_weights_of(handles, areas, handle_weights), 3)
             shape = (3 * len(V), len(fixed))
@@ -272,13 +277,12 @@ def energy_matrix(V: FloatArray, F: IntArray, form: Form) -> sparse.csc_array:
     if form in ("spokes", "spokes-and-rims"):
         return _cell_matrix(V, F, form)
     operator, weights = _strain_operator(V, F, form)
-    Q: Any = (operator.T @ sparse.diags_array(weights) @ operator).tocsc()
-    return Q
+    return sparse.csc_array(operator.T @ sparse.diags_array(weights) @ operator)
 
 
 def displacement_gradients(V: FloatArray, F: IntArray, D: FloatArray) -> FloatArray:
     """Gradient J (m, 3, 3) of the piecewise linear field: J[f, x, y] = d(d_x)/dy, zero along the normal."""
-    return np.einsum("fkx,fky->fxy", D[F], hat_gradients(V, F))
+    return np.asarray(np.einsum("fkx,fky->fxy", D[F], hat_gradients(V, F)))
 
 
 def hat_gradients(V: FloatArray, F: IntArray) -> FloatArray:

@@ -16,8 +16,17 @@ from scipy import sparse
 from scipy.sparse import csgraph
 from scipy.spatial import cKDTree
 
-from meshref.check import FLATTEST_FACE, MeshError, as_arrays, check_mesh, intersecting_faces, place, relative_heights
-from meshref.measures import face_areas, signed_volume
+from meshref.check import (
+    FLATTEST_FACE,
+    MeshError,
+    as_arrays,
+    check_mesh,
+    intersecting_faces,
+    place,
+    relative_heights,
+    signed_volume,
+)
+from meshref.measures import face_areas
 from meshref.topology import (
     BoolArray,
     FloatArray,
@@ -33,7 +42,7 @@ from meshref.topology import (
 # A part with less volume than this, relative to its area to the power 3/2 (0.094 for a ball), is flat.
 FLAT = 1e-9
 
-# Loops up to this length are filled by the triangulation of least area (time grows with the cube); longer by a fan.
+# Loops up to this length are filled; the time grows with the cube: 5 s for 590 edges.
 LONGEST_FILLED_LOOP = 600
 
 
@@ -110,6 +119,8 @@ def mend_mesh(
     _say(steps, left_apart, apart, "vertex", "vertices")
     _say(steps, welded.flat, "removed {} {} without area", "face", "faces")
     _say(steps, welded.doubled, "removed {} doubled {}", "face", "faces")
+    if len(F) == 0:
+        raise MeshError("no face of the mesh has area, so there is nothing to mend. Are the coordinates all the same?")
     V, F, vertex_map, left_over = _drop_unused(V, F, vertex_map)
     _say(steps, left_over, "dropped {} {} of removed faces", "vertex", "vertices")
     V, F, split = _split_pinched_vertices(V, F)
@@ -232,7 +243,7 @@ def _crowded_edge(weld: _Weld, V: FloatArray) -> str | None:
 
 
 def _repeats_a_corner(F: IntArray) -> BoolArray:
-    return np.any(np.roll(F, -1, axis=1) == F, axis=1)
+    return np.asarray(np.any(np.roll(F, -1, axis=1) == F, axis=1), dtype=np.bool_)
 
 
 def _drop_flat_faces(V: FloatArray, F: IntArray) -> tuple[IntArray, int]:
@@ -269,7 +280,7 @@ def _drop_flat_faces(V: FloatArray, F: IntArray) -> tuple[IntArray, int]:
             middle = int(F[f, (c + 2) % 3])
             touched.update((f, g))
             gone.add(g)
-            removed -= 2  # one face goes and one comes back in two
+            removed -= 1  # the neighbour comes back, in two
             added += [[start, middle, apex], [middle, end, apex]]
         removed += len(gone)
         keep = np.setdiff1d(np.arange(len(F)), np.fromiter(gone, dtype=np.int64, count=len(gone)))

@@ -1,7 +1,7 @@
 """MeshLab's smoothing, remeshing and sampled distance, as a second opinion.
 
-The one file that imports pymeshlab, and only when one of its functions is called: the import takes a second, and the
-library is under the GPL. Its vertices are double precision, but several of its filters compute in single.
+The one file that imports pymeshlab, and only when one of its functions is called: the library is under the
+GPL, and nothing else here needs it. Its vertices are double precision, but several of its filters compute in single.
 """
 
 from __future__ import annotations

@@ -97,7 +97,7 @@ def disagreeing_pairs(F: IntArray, table: EdgeTable) -> IntArray:
     """Pairs of half-edges on one edge that run the same way: their faces are oriented against each other, (k, 2)."""
     ends = half_edges(F)
     pairs = paired_half_edges(table)
-    return pairs[ends[pairs[:, 0], 0] == ends[pairs[:, 1], 0]]
+    return np.asarray(pairs[ends[pairs[:, 0], 0] == ends[pairs[:, 1], 0]], dtype=np.int64)
 
 
 def flips_to_agree(F: IntArray, table: EdgeTable) -> tuple[BoolArray, int | None]:

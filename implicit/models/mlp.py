@@ -52,13 +52,14 @@ class Mlp(nn.Module):
         self.sharpness = float(sharpness)
         widths = [dimension] + [width] * depth + [1]
         generator = torch.Generator().manual_seed(0) if generator is None else generator
-        self.layers = nn.ModuleList(nn.utils.skip_init(nn.Linear, a, b) for a, b in pairwise(widths))
+        layers: list[nn.Linear] = [nn.utils.skip_init(nn.Linear, a, b) for a, b in pairwise(widths)]
+        self.layers = nn.ModuleList(layers)
         with torch.no_grad():
-            for layer in self.layers[:-1]:
+            for layer in layers[:-1]:
                 layer.weight.normal_(0, (2 / layer.out_features) ** 0.5, generator=generator)
                 layer.bias.zero_()
-            self.layers[-1].weight.fill_((torch.pi / width) ** 0.5)
-            self.layers[-1].bias.fill_(-0.5)
+            layers[-1].weight.fill_((torch.pi / width) ** 0.5)
+            layers[-1].bias.fill_(-0.5)
 
     def forward(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
         """Values at the points."""

@@ -47,9 +47,10 @@ class Siren(nn.Module):
         self.frequency = float(frequency)
         widths = [dimension] + [width] * depth + [1]
         generator = torch.Generator().manual_seed(0) if generator is None else generator
-        self.layers = nn.ModuleList(nn.utils.skip_init(nn.Linear, a, b) for a, b in pairwise(widths))
+        layers: list[nn.Linear] = [nn.utils.skip_init(nn.Linear, a, b) for a, b in pairwise(widths)]
+        self.layers = nn.ModuleList(layers)
         with torch.no_grad():
-            for k, layer in enumerate(self.layers):
+            for k, layer in enumerate(layers):
                 inputs = widths[k]
                 # Keeps the arguments of the later sines near unit variance (their section 3.2).
                 reach = 1 / inputs if k == 0 else (6 / inputs) ** 0.5 / self.frequency

@@ -10,7 +10,7 @@ from meshref import read_mesh
 REAL_MESHES = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "meshes"
 
 
-@pytest.fixture()
+@pytest.fixture
 def real_mesh():
     """A function from the name of a real mesh file to its vertices and faces; skips where the files are not there."""
     if not REAL_MESHES.is_dir():
@@ -18,6 +18,6 @@ def real_mesh():
     return lambda name: read_mesh(REAL_MESHES / name)
 
 
-@pytest.fixture()
+@pytest.fixture
 def rng():
     return np.random.default_rng(0)

@@ -71,7 +71,7 @@ def test_the_energy_of_rigid_motions_is_zero_and_scales_as_a_squared_length(rng)
 
 
 def test_doubling_the_size_costs_the_length_of_all_edges():
-    """U = 2 V: the best rotation is none, and |e|^2 is left of each edge; over a face they sum to 4 times the area / 2."""
+    """U = 2 V: the best rotation is none. Half a cotangent times |e|^2, summed over a face, is twice its area."""
     V, F = icosphere(3)
     expected = 3 * 2 * (np.linalg.norm(np.cross(V[F[:, 1]] - V[F[:, 0]], V[F[:, 2]] - V[F[:, 0]]), axis=1) / 2).sum()
     assert arap_energy(V, F, 2 * V) == pytest.approx(expected, rel=1e-12)
@@ -87,7 +87,7 @@ def test_the_result_does_not_depend_on_place_and_unit():
 def test_one_handle_carries_the_mesh_along():
     V, F = icosphere(2)
     result = arap(V, F, [7], V[[7]] + [1, 2, 3])
-    np.testing.assert_allclose(result.V, V + [1, 2, 3], atol=1e-5)
+    np.testing.assert_allclose(result.V, V + np.array([1, 2, 3]), atol=1e-5)
 
 
 def test_all_vertices_may_be_handles(rng):

@@ -132,7 +132,7 @@ def test_two_bodies_that_share_a_vertex_are_pinched():
 
 def test_faces_that_pass_through_each_other_are_found_on_request():
     V, F = icosphere(1)
-    V2, F2 = np.concatenate([V, V + [1.0, 0.1, 0.03]]), np.concatenate([F, F + len(V)])
+    V2, F2 = np.concatenate([V, V + np.array([1.0, 0.1, 0.03])]), np.concatenate([F, F + len(V)])
     check_mesh(V2, F2, closed=True)
     with pytest.raises(MeshError, match=r"must not pass through each other, but \d+ pairs do"):
         check_mesh(V2, F2, self_intersections="refuse")

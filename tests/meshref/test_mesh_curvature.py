@@ -62,9 +62,7 @@ def test_voronoi_masses_are_those_of_libigl_and_add_up(rng):
     V, F = icosphere(2)
     V = V + 0.05 * rng.standard_normal(V.shape)  # obtuse faces among others
     M = mass_matrix(V, F)
-    np.testing.assert_allclose(
-        M.diagonal(), igl.massmatrix(V, F, igl.MASSMATRIX_TYPE_VORONOI).diagonal(), rtol=1e-12
-    )
+    np.testing.assert_allclose(M.diagonal(), igl.massmatrix(V, F, igl.MASSMATRIX_TYPE_VORONOI).diagonal(), rtol=1e-12)
     assert M.diagonal().sum() == pytest.approx(area(V, F), rel=1e-13)
     assert mass_matrix(V, F, "barycentric").diagonal().sum() == pytest.approx(area(V, F), rel=1e-13)
 

@@ -48,5 +48,5 @@ def test_a_zero_on_the_diagonal_is_noticed():
 def test_a_missing_solver_is_named():
     if importlib.util.find_spec("sksparse") is not None:
         pytest.skip("scikit-sparse is installed, so nothing is missing")
-    with pytest.raises(MeshError, match="needs scikit-sparse.*superlu"):
+    with pytest.raises(MeshError, match=r"needs scikit-sparse.*superlu"):
         factorise(laplacian(), "cholmod")

@@ -44,7 +44,7 @@ def test_rigid_motions_cost_nothing_at_any_resolution(subdivisions, form, rng):
 @pytest.mark.parametrize("form", TANGENTIAL)
 def test_rigid_motions_cost_nothing_on_an_open_mesh(form, rng):
     V, F = cylinder(20, 10)
-    V, F = V[:-2], F[(F < len(V) - 2).all(axis=1)]
+    V, F = V[:-2], F[(len(V) - 2 > F).all(axis=1)]
     field = rng.standard_normal(V.shape)
     assert killing_energy(V, F, rigid_motion(V, rng), form) < 1e-20 * killing_energy(V, F, field, form)
 
@@ -68,7 +68,7 @@ def test_stretching_a_unit_sphere_costs_128_pi_over_15(form):
     for V, F in map(icosphere, (2, 3, 4)):
         error.append(killing_energy(V, F, V * [1, 0, 0], form) / (128 * np.pi / 15) - 1)
     assert abs(error[-1]) < 1.3e-3
-    np.testing.assert_allclose(orders(error), 2, atol=0.2)
+    assert orders(error)[-1] == pytest.approx(2, abs=0.1)
 
 
 def test_the_ambient_form_charges_rotations():
@@ -158,7 +158,7 @@ def test_rigid_motions_of_the_handles_move_everything_rigidly(form, method, solv
     if solver == "cholespy":
         pytest.importorskip("cholespy", reason="the optional solver cholespy is not installed")
     V, F = icosphere(3)
-    V = V + [5, -3, 2]
+    V = V + np.array([5, -3, 2])
     handles = np.concatenate(held_and_moved(V))
     motion = rigid_motion(V, rng)
     result = killing(V, F, handles, motion[handles], form=form, method=method, solver=solver)
@@ -249,7 +249,7 @@ def test_handles_on_one_line_are_refused():
     V, F = box(subdivisions=2)
     line = np.flatnonzero((V[:, 0] == 0) & (V[:, 1] == 0))
     assert len(line) == 5
-    with pytest.raises(MeshError, match="not on one line .* has 5 on one line: it could turn"):
+    with pytest.raises(MeshError, match=r"not on one line .* has 5 on one line: it could turn"):
         KillingSolver(V, F, line)
 
 
@@ -267,7 +267,7 @@ def test_a_membrane_that_can_fold_freely_is_reported():
     sheet = F[np.isin(F, top).all(axis=1)]
     V, F = V[top], np.searchsorted(top, sheet)
     handles = np.flatnonzero(V[:, 0] == 0)[:2].tolist() + np.flatnonzero(V[:, 0] == 1)[:2].tolist()
-    with pytest.raises(NotPositiveDefiniteError, match="not positive definite.*spokes-and-rims"):
+    with pytest.raises(NotPositiveDefiniteError, match=r"not positive definite.*spokes-and-rims"):
         KillingSolver(V, F, handles, form="membrane")
     assert killing(V, F, handles, V[handles] * 0.1).status is KillingStatus.SOLVED
 

@@ -23,7 +23,7 @@ def test_fans_do_not_depend_on_orientation(rng):
 
 def test_a_pipe_has_two_loops_of_its_length():
     V, F = cylinder(11, 4)
-    pipe = F[(F < len(V) - 2).all(axis=1)]  # the caps are fans round the last two vertices
+    pipe = F[(len(V) - 2 > F).all(axis=1)]  # the caps are fans round the last two vertices
     loops = boundary_loops(pipe, edge_table(pipe, len(V)))
     assert sorted(len(loop) for loop in loops) == [11, 11]
     assert all(len(np.unique(V[loop, 2])) == 1 for loop in loops)

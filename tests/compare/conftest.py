@@ -1,0 +1,47 @@
+"""One small run that the tests of this folder look at: an analytic shape, each operation, few points."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+import implicit
+import implicit.shapes
+from compare import Case, Record, default_cases, prepare_subject, report, run_cases
+
+SMALL = {"vertices": 500, "resolution": 32}
+
+
+@dataclass(frozen=True)
+class SmallRun:
+    """A run folder and what is in it."""
+
+    folder: Path
+    cases: list[Case]
+    records: list[Record]
+
+
+@pytest.fixture(scope="session")
+def shape_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A field in a file: a capsule with a ball on its side."""
+    field = implicit.shapes.smooth_union(implicit.shapes.capsule(), implicit.shapes.sphere(0.25, (0.3, 0.0, 0.0)))
+    path = tmp_path_factory.mktemp("shapes") / "bulb.safetensors"
+    implicit.save_field(field, path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def small_cases(shape_file: Path) -> list[Case]:
+    """The three operations on it, at little cost."""
+    subject = prepare_subject(Case(str(shape_file), "smooth", **SMALL))
+    return default_cases(str(shape_file), subject.V, subject.N, quick=True, **SMALL)
+
+
+@pytest.fixture(scope="session")
+def small_run(small_cases: list[Case], tmp_path_factory: pytest.TempPathFactory) -> SmallRun:
+    """The cases run into a folder, with a report."""
+    folder = tmp_path_factory.mktemp("run")
+    records = run_cases(small_cases, folder=folder)
+    assert [r.status for r in records if r.failed] == []
+    report(records, folder / "report.html")
+    return SmallRun(folder, small_cases, records)

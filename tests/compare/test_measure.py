@@ -1,0 +1,124 @@
+"""The measures of a comparison, on spheres and motions whose answers are known."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import implicit
+import implicit.shapes
+import meshref
+from compare import Case, HandleSpec
+from compare.measure import between, error_field, measure, measure_field, strain
+from compare.operations import Outcome, wanted_motion
+from compare.subject import Subject
+
+EVERYWHERE = {"kind": "halfspace", "point": [0.0, 0.0, -9.0], "normal": [0.0, 0.0, 1.0]}
+
+
+def unit_sphere(scale=1.0):
+    """The unit sphere as a subject; the user's units are `scale` of the field's."""
+    field = implicit.shapes.sphere(1.0)
+    field.units = implicit.Units(scale, (0.0, 0.0, 0.0))
+    V, F = meshref.icosphere(4)
+    return Subject(field, V, F, V.copy())
+
+
+def grow(distance):
+    """The wish that every point move outward by the distance."""
+    return Case("spot", "geometric", (HandleSpec(EVERYWHERE, {"kind": "along", "distance": distance}),))
+
+
+def measured(case, subject, displacement, other=None):
+    wanted = wanted_motion(case, subject)
+    own = Outcome(displacement, "by hand", "Done.", 0.0)
+    other = Outcome(np.zeros_like(displacement) if other is None else other, "by hand", "Done.", 0.0)
+    return measure(case, subject, wanted, own, error_field(case, subject, wanted, own, other))
+
+
+def test_growing_a_sphere_has_the_energy_volume_and_area_of_the_formula():
+    """d = a n on the unit sphere: Killing energy 32 pi a^2, volume (1 + a)^3, area (1 + a)^2, error 0."""
+    subject, a = unit_sphere(), 0.1
+    row = measured(grow(a), subject, a * subject.V)
+    assert row["killing_energy"] == pytest.approx(32 * np.pi * a**2, rel=2e-3)
+    assert row["volume_drift"] == pytest.approx((1 + a) ** 3 - 1, rel=1e-7)
+    assert row["area_drift"] == pytest.approx((1 + a) ** 2 - 1, rel=1e-7)
+    assert row["error_max"] == pytest.approx(0, abs=1e-8)
+    assert row["handle_error_max"] == pytest.approx(0, abs=1e-8)
+
+
+def test_an_edit_that_goes_half_way_has_half_the_error():
+    subject = unit_sphere()
+    row = measured(grow(0.1), subject, 0.05 * subject.V)
+    assert row["error_relative"] == pytest.approx(0.5, rel=1e-7)
+    assert row["handle_error_relative"] == pytest.approx(0.5, rel=1e-7)
+    assert row["error_rms"] == pytest.approx(0.05, rel=1e-7)
+
+
+def test_numbers_are_in_the_users_units():
+    """In units ten times as fine, lengths are 10, areas and energies 100, volumes 1000 times as large."""
+    one, ten = (measured(grow(0.1), unit_sphere(scale), 0.05 * unit_sphere().V) for scale in (1.0, 10.0))
+    for name, power in {
+        "error_rms": 1,
+        "handle_error_rms": 1,
+        "displacement_max": 1,
+        "killing_energy": 2,
+        "killing_ambient": 2,
+        "area_after": 2,
+        "volume_before": 3,
+        "volume_after": 3,
+        "volume_drift": 0,
+        "error_relative": 0,
+    }.items():
+        assert ten[name] == pytest.approx(one[name] * 10**power, rel=1e-12), name
+
+
+def test_a_rigid_motion_has_no_energy_and_no_strain():
+    subject = unit_sphere()
+    turn = np.cross([0.1, -0.2, 0.3], subject.V) + [0.3, 0.1, -0.2]
+    assert strain(subject, turn).max() < 1e-12
+    assert meshref.killing_energy(subject.V, subject.F, turn) < 1e-20
+
+
+def test_stretching_by_one_percent_is_a_strain_of_one_percent():
+    """d = a z e_z where the normal is along x: the tangential strain is a along z, and nothing else."""
+    subject = unit_sphere()
+    a = 0.01
+    stretch = a * subject.V * [0, 0, 1]
+    equator = np.abs(subject.V[:, 2]) < 0.02
+    assert strain(subject, stretch)[equator] == pytest.approx(a, rel=0.02)
+
+
+def test_the_error_of_smoothing_is_the_difference_along_the_normal():
+    subject = unit_sphere()
+    case, V = Case("spot", "smooth"), subject.V
+    own, other = SimpleNamespace(displacement=0.3 * V), SimpleNamespace(displacement=0.1 * V)
+    np.testing.assert_allclose(error_field(case, subject, wanted_motion(case, subject), own, other), 0.2)
+
+
+def test_overlapping_handles_add_up_in_a_geometric_edit():
+    """As the neural editor has it."""
+    case = Case("spot", "geometric", grow(0.1).handles + grow(0.02).handles)
+    wanted = wanted_motion(case, unit_sphere())
+    assert wanted.largest == pytest.approx(0.12)
+
+
+def test_a_handle_off_the_shape_is_refused():
+    far = HandleSpec({"kind": "ball", "center": [5.0, 0.0, 0.0], "radius": 0.1}, {"kind": "along", "distance": 0.1})
+    with pytest.raises(ValueError, match="Handle 1 of the case .* holds no vertex"):
+        wanted_motion(Case("spot", "geometric", (far,)), unit_sphere())
+
+
+def test_the_volume_of_the_field_itself_is_that_of_the_formula():
+    row = measure_field(unit_sphere(2.0), implicit.shapes.sphere(0.9), resolution=48)
+    assert row["volume_before"] == pytest.approx(8 * 4 / 3 * np.pi, rel=1e-5)
+    assert row["volume_drift"] == pytest.approx(0.9**3 - 1, rel=1e-4)
+    assert row["area_drift"] == pytest.approx(0.9**2 - 1, rel=1e-4)
+
+
+def test_the_distance_between_two_spheres_is_the_difference_of_radii():
+    subject = unit_sphere(10.0)
+    V, F = subject.V, subject.F
+    row = between(subject, (V, F), (1.2 * V, F), seed=0)
+    assert row["chamfer"] == pytest.approx(2.0, rel=5e-3)
+    assert row["normal_consistency"] == pytest.approx(1, abs=5e-3)

@@ -1,0 +1,119 @@
+"""Running cases: what is written, what is kept, what is not done twice."""
+
+import dataclasses
+import hashlib
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import torch
+
+import implicit
+import meshref
+from compare import Case, HandleSpec, run_case, run_cases
+from compare.records import FILE, read
+from compare.views import load_views, read_view
+
+
+def by_operation(small_run, operation):
+    return next(r for r in small_run.records if r.case.operation == operation)
+
+
+def test_every_row_and_file_is_there_with_its_hash(small_run):
+    assert read(small_run.folder) == small_run.records
+    for record in small_run.records:
+        assert set(record.artefacts) == {"field", "before", "implicit", "mesh"}
+        for artefact in record.artefacts.values():
+            content = (small_run.folder / artefact.path).read_bytes()
+            assert hashlib.sha256(content).hexdigest() == artefact.sha256
+
+
+@pytest.mark.parametrize("operation", ["smooth", "rigid"])
+def test_the_energy_of_the_mesh_result_can_be_had_from_its_files(small_run, operation):
+    """before.ply and mesh.ply share their faces: their difference is the displacement that was judged."""
+    record = by_operation(small_run, operation)
+    views = load_views(record, small_run.folder)
+    before, after = views["before"], views["mesh"]
+    np.testing.assert_array_equal(before.F, after.F)
+    energy = meshref.killing_energy(before.V, before.F, after.V - before.V, form="membrane")
+    assert record.sides["mesh"]["killing_energy"] == pytest.approx(energy, rel=1e-9)
+
+
+def test_the_common_mesh_lies_on_the_field_and_has_even_triangles(small_run):
+    record = by_operation(small_run, "smooth")
+    field = implicit.load_field(record.case.shape)
+    V, F = meshref.read_mesh(small_run.folder / record.artefacts["before"].path)
+    assert field.value(torch.from_numpy(V)).abs().max() < 1e-9
+    assert 0.7 * 500 < len(V) < 1.4 * 500
+    sides = np.linalg.norm(V[F] - V[np.roll(F, 1, axis=1)], axis=2)
+    assert sides.max() / sides.min() < 6
+
+
+def test_the_implicit_mesh_is_the_surface_of_the_edited_field(small_run):
+    for record in small_run.records:
+        field = implicit.load_field(small_run.folder / record.artefacts["field"].path)
+        V = read_view(small_run.folder / record.artefacts["implicit"].path).V
+        assert field.value(torch.from_numpy(V)).abs().max() < 1e-6
+
+
+def test_volume_is_held_by_both_flows_and_both_shrink_the_area(small_run):
+    sides = by_operation(small_run, "smooth").sides
+    for side in sides.values():
+        assert abs(side["volume_drift"]) < 1e-3
+        assert side["area_drift"] < -1e-3
+
+
+def test_the_mesh_reaches_its_handles_exactly_and_has_less_energy_than_the_restricted_field(small_run):
+    """The mesh minimises the spokes-and-rims form over all displacements that reach the handles."""
+    sides = by_operation(small_run, "rigid").sides
+    assert sides["mesh"]["handle_error_max"] < 1e-12
+    assert sides["mesh"]["killing_spokes_and_rims"] <= sides["mesh, ARAP"]["killing_spokes_and_rims"]
+
+
+def test_what_is_done_is_not_done_again(small_run, small_cases):
+    content = (small_run.folder / FILE).read_bytes()
+    told = []
+    records = run_cases(small_cases, folder=small_run.folder, on_record=told.append)
+    assert records == small_run.records
+    assert told == []
+    assert (small_run.folder / FILE).read_bytes() == content
+
+
+def test_a_case_that_fails_is_a_row_with_its_reason_and_ends_nothing(small_cases, tmp_path):
+    off = HandleSpec({"kind": "ball", "center": [9.0, 0.0, 0.0], "radius": 0.1}, {"kind": "along", "distance": 0.1})
+    bad = dataclasses.replace(small_cases[0], handles=(off,))
+    good = small_cases[0]
+    records = run_cases([bad, good], folder=tmp_path)
+    assert [r.failed for r in records] == [True, False]
+    assert "holds no vertex" in records[0].status
+    assert len(read(tmp_path)) == 2
+
+
+def test_a_pool_gives_what_a_loop_gives(small_run, small_cases):
+    with ThreadPoolExecutor(2) as pool:
+        records = run_cases(small_cases[:2], pool)
+    for one, other in zip(records, small_run.records[:2], strict=True):
+        assert one.key == other.key
+        assert one.sides["mesh"]["killing_energy"] == pytest.approx(other.sides["mesh"]["killing_energy"], rel=1e-6)
+        for name in ("killing_energy", "volume_drift"):
+            assert one.sides["implicit"][name] == pytest.approx(other.sides["implicit"][name], rel=1e-3)
+
+
+def test_the_same_case_gives_the_same_numbers(small_run, small_cases):
+    again = run_case(small_cases[0])
+    first = small_run.records[0].sides["implicit"]
+    for name in ("killing_energy", "volume_after", "error_rms"):
+        assert again.sides["implicit"][name] == first[name]
+
+
+def test_progress_is_told_of_every_step_of_the_neural_edit(small_cases):
+    told = []
+    rigid = next(c for c in small_cases if c.operation == "rigid")
+    run_case(rigid, progress=lambda step, steps, what: told.append((step, steps, what)))
+    assert told == [(k, 3, "rigid, neural field") for k in (1, 2, 3)]
+
+
+def test_a_shape_that_does_not_exist_is_a_row(tmp_path):
+    """Even its key cannot be had, for that needs the file."""
+    with pytest.raises(FileNotFoundError):
+        run_cases([Case(str(tmp_path / "gone.obj"), "smooth")])

@@ -1,0 +1,128 @@
+"""Rows of a deformation space against differences of the displacement that they belong to."""
+
+import math
+
+import pytest
+import torch
+
+from implicit import Field, sample_surface, shapes, surface_quadrature
+from implicit.deformation import DeformationSpace, Frame
+from implicit.energies import Killing, NormalTarget, Smoothness, VectorTarget
+from implicit.evolve import total_energy
+from implicit.tangential import CosineFeatures
+
+ENTRIES = [(a, b) for a in range(3) for b in range(a, 3)]
+
+
+@pytest.fixture
+def space(wobbly):
+    return DeformationSpace(wobbly, CosineFeatures(wobbly, waves=15, seed=1))
+
+
+@pytest.fixture
+def x(space):
+    return torch.randn(space.size, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+
+
+def gathered(blocks, dim=0):
+    return torch.cat([rows for _, rows in blocks], dim=dim)
+
+
+def test_vector_and_normal_rows_give_the_displacement(space, x):
+    sample = sample_surface(space.field, 20)
+    moved = space.displacement(sample.points, x)
+    torch.testing.assert_close(gathered(space.vector_rows(sample.points)) @ x, moved)
+    torch.testing.assert_close(gathered(space.normal_rows(sample.points)) @ x, (moved * sample.normals).sum(dim=1))
+
+
+def test_strain_rows_match_differences_of_the_displacement(space, x):
+    points = sample_surface(space.field, 12).points
+    step, eye = 1e-5, torch.eye(3, dtype=torch.float64)
+    columns = [
+        (space.displacement(points + step * e, x) - space.displacement(points - step * e, x)) / (2 * step) for e in eye
+    ]
+    J = torch.stack(columns, dim=2)
+    axes = Frame.at(space.field, points).axes
+    strain = axes @ (J + J.transpose(1, 2)) @ axes.transpose(1, 2)
+    expected = torch.stack([strain[:, a, b] for a, b in ENTRIES])
+    rows = gathered(space.strain_rows(points, ENTRIES), dim=1)
+    torch.testing.assert_close(rows @ x, expected, rtol=1e-5, atol=1e-5)
+
+
+def test_slope_rows_match_differences_of_the_normal_speed(wobbly):
+    space = DeformationSpace(wobbly)
+    x = torch.randn(space.size, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    points = sample_surface(wobbly, 12).points
+    axes = Frame.at(wobbly, points).axes
+    rows = gathered(space.normal_slope_rows(points)) @ x
+    step = 1e-5
+    for t in range(2):
+        ends = [
+            gathered(space.normal_rows(points + sign * step * axes[:, t])) @ x for sign in (1, -1)
+        ]
+        torch.testing.assert_close(rows[:, t], (ends[0] - ends[1]) / (2 * step), rtol=1e-5, atol=1e-5)
+
+
+def growing_sphere():
+    """A unit ball's field and the unknowns that move its surface outward at speed one."""
+    field = shapes.sphere(radius=0.5)
+    space = DeformationSpace(field)
+    column = (gathered(space.normal_rows(sample_surface(field, 9).points)) - 1).abs().amax(dim=0).argmin()
+    return space, torch.nn.functional.one_hot(column, space.size).double()
+
+
+def test_killing_energy_of_a_growing_sphere_is_that_of_its_parts():
+    """D = n: tangential part 8/r^2 a point (32 pi over the sphere); the extension x/|x| adds nothing."""
+    space, x = growing_sphere()
+    sample = surface_quadrature(space.field, 32)
+    for bending, thickness in ((0.0, 0.0), (1.0, 1.0)):
+        energy = total_energy([Killing(sample.points, sample.weights, bending, thickness)], space, x)
+        assert energy == pytest.approx(32 * math.pi, rel=1e-4)
+
+
+def test_smoothness_of_even_motion_is_zero():
+    space, x = growing_sphere()
+    sample = surface_quadrature(space.field, 16)
+    assert total_energy([Smoothness(sample.points, sample.weights)], space, x) < 1e-20
+
+
+def test_rigid_motion_by_affine_features_has_no_strain(wobbly):
+    """The space must hold translations: the sphere's own centre moves the field, the constant feature the rest."""
+    field = shapes.sphere(radius=0.5)
+    features = CosineFeatures(field, waves=0)
+    space = DeformationSpace(field, features)
+    sample = sample_surface(field, 40)
+    way = torch.tensor([0.3, -0.2, 0.1], dtype=torch.float64)
+    rows = gathered(space.vector_rows(sample.points)).flatten(0, 1)
+    x = torch.linalg.lstsq(rows, way.repeat(40)[:, None], driver="gelsd").solution[:, 0]
+    torch.testing.assert_close(space.displacement(sample.points, x), way.expand(40, 3), rtol=0, atol=1e-9)
+    assert total_energy([Killing(sample.points, sample.weights)], space, x) < 1e-15
+
+
+def test_targets_measure_the_weighted_miss(space, x):
+    sample = sample_surface(space.field, 20)
+    moved = space.displacement(sample.points, x)
+    zero = torch.zeros_like(sample.points)
+    whole = total_energy([VectorTarget(sample.points, zero, sample.weights)], space, x)
+    assert whole == pytest.approx(float(sample.weights @ moved.square().sum(dim=1)))
+    along = (moved * sample.normals).sum(dim=1)
+    part = total_energy([NormalTarget(sample.points, zero[:, 0], sample.weights)], space, x)
+    assert part == pytest.approx(float(sample.weights @ along**2))
+
+
+def test_axes_are_orthonormal_and_end_with_the_normal(wobbly):
+    sample = sample_surface(wobbly, 30)
+    axes = Frame.at(wobbly, sample.points).axes
+    torch.testing.assert_close(axes @ axes.transpose(1, 2), torch.eye(3, dtype=torch.float64).expand(30, 3, 3))
+    torch.testing.assert_close(axes[:, 2], sample.normals)
+
+
+def test_feature_slopes_match_differences(wobbly):
+    assert isinstance(wobbly, Field)
+    features = CosineFeatures(wobbly, waves=10)
+    points = sample_surface(wobbly, 5).points
+    step = 1e-6
+    for axis in range(3):
+        way = step * torch.eye(3, dtype=torch.float64)[axis]
+        measured = (features.values(points + way) - features.values(points - way)) / (2 * step)
+        torch.testing.assert_close(features.slopes(points)[:, axis], measured, rtol=1e-6, atol=1e-7)

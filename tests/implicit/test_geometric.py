@@ -1,0 +1,158 @@
+"""Geometric edits on shapes whose answer is known, and on a network."""
+
+import math
+
+import pytest
+import torch
+
+from implicit import (
+    Along,
+    Area,
+    Ball,
+    Handle,
+    HalfSpace,
+    Volume,
+    geometric_edit,
+    shapes,
+    surface_quadrature,
+)
+from implicit.evolve import EditStatus
+
+EVERYWHERE = Ball((0, 0, 0), 10.0)
+
+
+def bump(field, height=0.1):
+    """A smooth bump on top of the wobbly sphere."""
+    return Handle(Ball((0, 0, 0.5), 0.15, falloff=0.35), Along(height))
+
+
+@pytest.mark.parametrize("parts", [1, 4])
+def test_a_sphere_grows_exactly(parts):
+    field = shapes.sphere(radius=0.5)
+    edit = geometric_edit(field, Handle(EVERYWHERE, Along(0.1)), parts=parts, points=300)
+    assert edit.status is EditStatus.DONE
+    assert float(edit.error_field().abs().max()) < 1e-6
+    assert Volume().value(edit.field, surface_quadrature(edit.field, 48)) == pytest.approx(
+        4 / 3 * math.pi * 0.6**3, rel=1e-5
+    )
+
+
+def test_a_sphere_moves_as_a_whole():
+    """A translation is not a motion along the normal; the field must still end in the right place."""
+    field = shapes.sphere(radius=0.4)
+    edit = geometric_edit(field, Handle(EVERYWHERE, (0.2, 0.0, -0.1)), parts=4, points=300)
+    center = (edit.tracked if edit.tracked is not None else edit.points + edit.displacement).mean(dim=0)
+    assert float(edit.error_field().abs().max()) < 1e-6
+    torch.testing.assert_close(
+        center, edit.points.mean(dim=0) + torch.tensor([0.2, 0.0, -0.1], dtype=torch.float64), rtol=0, atol=1e-3
+    )
+
+
+def test_a_bump_is_raised_and_the_rest_stays(wobbly):
+    edit = geometric_edit(wobbly, bump(wobbly), points=1500, parts=6)
+    error = edit.error_field()
+    assert float(error.square().mean().sqrt()) < 0.02
+    still = edit.wanted.norm(dim=1) == 0
+    moved = (edit.displacement * edit.normals).sum(dim=1)[still]
+    assert float(moved.square().mean().sqrt()) < 0.02 * 0.1
+
+
+def test_error_field_is_measured_on_the_edited_field(wobbly):
+    """Without an edit the achieved displacement is zero, so the error is the whole target."""
+    edit = geometric_edit(wobbly, bump(wobbly), points=800, parts=2)
+    from dataclasses import replace
+
+    unedited = replace(edit, field=wobbly)
+    largest = unedited.error_field().abs().max()
+    assert float(largest) == pytest.approx(1.0, abs=0.15)
+
+
+def test_volume_can_be_kept_while_a_bump_is_raised(wobbly):
+    sample = surface_quadrature(wobbly, 48)
+    before = Volume().value(wobbly, sample)
+    edit = geometric_edit(wobbly, bump(wobbly), rest="free", points=800, parts=3, constraints=(Volume(),))
+    after = Volume().value(edit.field, surface_quadrature(edit.field, 64))
+    assert after == pytest.approx(before, rel=1e-5)
+    assert edit.history[-1]["volume"] == pytest.approx(before, rel=1e-7)
+
+
+def test_two_functionals_can_be_kept_at_once(wobbly):
+    sample = surface_quadrature(wobbly, 48)
+    before = Volume().value(wobbly, sample), Area().value(wobbly, sample)
+    edit = geometric_edit(
+        wobbly, bump(wobbly, 0.03), rest="free", points=800, parts=2, constraints=(Volume(), Area())
+    )
+    assert edit.history[-1]["volume"] == pytest.approx(before[0], rel=1e-7)
+    assert edit.history[-1]["area"] == pytest.approx(before[1], rel=1e-7)
+
+
+def test_tracked_points_end_on_the_edited_surface_and_follow_the_handle(wobbly):
+    from implicit import sample_surface
+
+    track = sample_surface(wobbly, 50, seed=9).points
+    edit = geometric_edit(wobbly, Handle(HalfSpace((0, 0, -2), (0, 0, 1)), (0.1, 0, 0)), parts=4, points=800, track=track)
+    assert float(edit.field.value(edit.tracked).abs().max()) < 1e-10
+    way = edit.tracked - track
+    torch.testing.assert_close(
+        way, torch.tensor([0.1, 0.0, 0.0], dtype=torch.float64).expand(50, 3), rtol=0, atol=0.01
+    )
+
+
+def test_a_scaled_field_gives_the_same_edit(wobbly):
+    """Whether f is a distance or five times one must not matter."""
+    from torch import nn
+
+    from implicit import Field
+
+    class Times(nn.Module):
+        def __init__(self, module):
+            super().__init__()
+            self.module = module
+
+        def forward(self, points):
+            return 5 * self.module(points)
+
+    plain = geometric_edit(wobbly, bump(wobbly), points=800, parts=2)
+    times = geometric_edit(Field(Times(wobbly.module)), bump(wobbly), points=800, parts=2)
+    torch.testing.assert_close(times.displacement, plain.displacement, rtol=0, atol=1e-6)
+
+
+def test_the_same_seed_gives_the_same_bits(wobbly):
+    first, second = (geometric_edit(wobbly, bump(wobbly), points=400, parts=2, seed=5) for _ in range(2))
+    assert torch.equal(first.field.theta, second.field.theta)
+
+
+def test_progress_is_told_of_each_part(wobbly):
+    seen = []
+    geometric_edit(wobbly, bump(wobbly), points=300, parts=3, progress=lambda step, steps, row: seen.append((step, steps)))
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+
+
+def test_the_callers_field_stays_as_it_is(wobbly):
+    theta = wobbly.theta.clone()
+    geometric_edit(wobbly, bump(wobbly), points=300, parts=1)
+    assert torch.equal(wobbly.theta, theta)
+
+
+@pytest.mark.parametrize(
+    ("handles", "options", "message"),
+    [
+        ([], {}, "handles is empty"),
+        ([Handle(Ball((5, 5, 5), 0.1), Along(0.1))], {}, "No point of the surface lies in the region of handles\\[0\\]"),
+        ([Handle(EVERYWHERE, (float("inf"), 0, 0))], {}, "not finite"),
+        ([Handle(EVERYWHERE, (1.0, 0))], {}, "must be a vector of 3"),
+        ([Handle(EVERYWHERE, Along(0.1))], {"parts": 0}, "parts must be at least 1"),
+        ([Handle(EVERYWHERE, Along(0.1))], {"rest": "loose"}, "rest must be"),
+    ],
+)
+def test_bad_input_is_refused(wobbly, handles, options, message):
+    with pytest.raises(ValueError, match=message):
+        geometric_edit(wobbly, handles, points=200, **options)
+
+
+def test_an_edit_that_would_lose_the_surface_stops_before(wobbly):
+    """Shrinking the sphere to nothing: the last good field is returned and the status says why."""
+    edit = geometric_edit(wobbly, Handle(EVERYWHERE, Along(-0.9)), points=300, parts=3)
+    assert edit.status in (EditStatus.SURFACE_LOST, EditStatus.UNSTABLE, EditStatus.NOT_FINITE)
+    assert torch.isfinite(edit.field.theta).all()
+    surface_quadrature(edit.field, 24)

@@ -1,0 +1,78 @@
+"""Mean-curvature flow against its exact laws, and what it keeps."""
+
+import math
+
+import pytest
+import torch
+
+from implicit import Area, Volume, shapes, smooth, surface_quadrature
+from implicit.evolve import EditStatus
+
+
+def radius_of(field, dimension=3):
+    points = surface_quadrature(field, 24).points
+    return float(points.norm(dim=1).mean())
+
+
+@pytest.mark.parametrize(("dimension", "rate"), [(3, 4.0), (2, 2.0)])
+def test_a_sphere_shrinks_by_its_law(dimension, rate):
+    """R^2 = R0^2 - 4 t in space, - 2 t in the plane; first order in the step."""
+    field = shapes.sphere(radius=0.5) if dimension == 3 else shapes.circle(0.5)
+    time = 0.02
+    exact = math.sqrt(0.25 - rate * time)
+    errors = []
+    for steps in (10, 20):
+        edit = smooth(field, steps=steps, step_size=time / steps, method="explicit", points=200)
+        assert edit.status is EditStatus.DONE
+        errors.append(abs(radius_of(edit.field) - exact))
+    assert errors[1] < 2e-3
+    assert errors[0] / errors[1] == pytest.approx(2, rel=0.15)
+
+
+def test_volume_is_kept_and_area_falls(wobbly):
+    sample = surface_quadrature(wobbly, 64)
+    volume, area = Volume().value(wobbly, sample), Area().value(wobbly, sample)
+    edit = smooth(wobbly, steps=5, step_size=1e-3, points=800, constraints=(Volume(),))
+    after = surface_quadrature(edit.field, 64)
+    assert edit.status is EditStatus.DONE
+    assert Volume().value(edit.field, after) == pytest.approx(volume, rel=1e-5)
+    assert Area().value(edit.field, after) < area - 1e-3
+    assert all(row["constraint_gap"] < 1e-7 for row in edit.history)
+
+
+def test_area_falls_at_the_rate_of_the_squared_curvature(wobbly):
+    """d area / dt = -int kappa^2: the flow is the gradient flow of area."""
+    sample = surface_quadrature(wobbly, 48)
+    rate = sample.integrate(wobbly.mean_curvature(sample.points) ** 2)
+    step = 2e-5
+    edit = smooth(wobbly, steps=1, step_size=step, method="explicit", points=3000, damping=1e-9)
+    fall = float(sample.weights.sum() - surface_quadrature(edit.field, 48).weights.sum()) / step
+    assert fall == pytest.approx(rate, rel=0.05)
+
+
+def test_the_implicit_step_goes_where_the_explicit_one_does_in_small_steps(wobbly):
+    fine = smooth(wobbly, steps=10, step_size=2e-4, method="explicit", points=800)
+    coarse = smooth(wobbly, steps=2, step_size=1e-3, method="implicit", points=800)
+    areas = [float(surface_quadrature(edit.field, 32).weights.sum()) for edit in (fine, coarse)]
+    before = float(surface_quadrature(wobbly, 32).weights.sum())
+    assert before - areas[1] == pytest.approx(before - areas[0], rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"steps": 0}, "steps must be at least 1"),
+        ({"steps": 1, "step_size": -1.0}, "step_size must be a positive"),
+        ({"steps": 1, "method": "fast"}, "method must be"),
+    ],
+)
+def test_bad_input_is_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        smooth(shapes.sphere(radius=0.5), **options)
+
+
+def test_a_sphere_that_vanishes_ends_with_a_status():
+    edit = smooth(shapes.sphere(radius=0.3), steps=200, step_size=2e-3, method="explicit", points=100)
+    assert edit.status is not EditStatus.DONE
+    assert torch.isfinite(edit.field.theta).all()
+    assert 0.2 * 0.3**2 > 4 * 2e-3 * (200 - len(edit.history)) - 1.6 or len(edit.history) < 12

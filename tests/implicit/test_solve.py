@@ -1,0 +1,118 @@
+"""Both forms of the least squares against numpy's, and what happens when the system is no good."""
+
+import numpy as np
+import pytest
+import torch
+
+from implicit.solve import LeastSquares, Rows, SolveStatus, add_gram, least_squares
+
+
+def problem(rows, columns, seed=0, rank=None):
+    generator = torch.Generator().manual_seed(seed)
+    rank = columns if rank is None else rank
+    left = torch.randn(rows, rank, generator=generator, dtype=torch.float64)
+    matrix = left @ torch.randn(rank, columns, generator=generator, dtype=torch.float64)
+    target = torch.randn(rows, generator=generator, dtype=torch.float64)
+    weights = torch.rand(rows, generator=generator, dtype=torch.float64) + 0.1
+    C = torch.randn(2, columns, generator=generator, dtype=torch.float64)
+    return Rows(matrix, target, weights), C, torch.tensor([0.3, -1.0], dtype=torch.float64)
+
+
+def by_numpy(rows, damping, C, r):
+    """The KKT system in full."""
+    A, y, w = (part.numpy() for part in rows)
+    n, m = A.shape[1], len(r)
+    kkt = np.block([[A.T @ (w[:, None] * A) + damping * np.eye(n), C.numpy().T], [C.numpy(), np.zeros((m, m))]])
+    return np.linalg.solve(kkt, np.concatenate([A.T @ (w * y), r.numpy()]))[:n]
+
+
+@pytest.mark.parametrize("method", ["primal", "dual"])
+@pytest.mark.parametrize("shape", [(60, 20), (20, 60), (30, 30)])
+def test_both_forms_solve_the_kkt_system(method, shape):
+    rows, C, r = problem(*shape)
+    solution = least_squares([rows], shape[1], rows.matrix, damping=0.05, constraints=(C, r), method=method)
+    np.testing.assert_allclose(solution.x.numpy(), by_numpy(rows, 0.05, C, r), rtol=1e-8, atol=1e-10)
+    assert solution.constraint_residual < 1e-10
+    assert solution.method == method
+    assert solution.status is SolveStatus.SOLVED
+
+
+@pytest.mark.parametrize("method", ["primal", "dual"])
+def test_objective_and_residual_are_those_of_the_rows(method):
+    rows, _, _ = problem(40, 10)
+    solution = least_squares([rows], 10, rows.matrix, damping=0.1, method=method)
+    gap = rows.weights * (rows.matrix @ solution.x - rows.target) ** 2
+    assert solution.objective == pytest.approx(float(gap.sum()), rel=1e-10)
+    assert solution.residual == pytest.approx(float((gap.sum() / rows.weights.sum()).sqrt()), rel=1e-10)
+
+
+def test_auto_takes_the_smaller_form():
+    few, _, _ = problem(10, 50)
+    many, _, _ = problem(100, 50)
+    assert least_squares([few], 50, few.matrix, damping=1.0).method == "dual"
+    assert least_squares([many], 50, many.matrix, damping=1.0).method == "primal"
+
+
+def test_blocks_add_up():
+    rows, C, r = problem(60, 20)
+    whole = least_squares([rows], 20, rows.matrix, damping=0.1, constraints=(C, r))
+    parts = [Rows(*(part[k : k + 7] for part in rows)) for k in range(0, 60, 7)]
+    split = least_squares(parts, 20, rows.matrix, damping=0.1, constraints=(C, r))
+    torch.testing.assert_close(split.x, whole.x)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_gram_is_the_lower_triangle_of_the_product(dtype):
+    rows = torch.randn(9, 5, generator=torch.Generator().manual_seed(0)).to(dtype)
+    total = torch.ones(5, 5, dtype=dtype)
+    add_gram(total, rows)
+    add_gram(total, rows)
+    torch.testing.assert_close(total.tril(), (1 + 2 * rows.T @ rows).tril())
+
+
+def test_damping_of_zero_on_a_singular_system_is_raised_and_said():
+    rows, _, _ = problem(40, 20, rank=5)
+    solution = least_squares([rows], 20, rows.matrix, damping=0.0)
+    assert torch.isfinite(solution.x).all()
+    assert solution.status is SolveStatus.DAMPED
+    assert solution.damping > 0
+
+
+def test_a_constraint_given_twice_is_met_once_and_said():
+    rows, C, r = problem(40, 20)
+    twice = (torch.cat([C, C[:1]]), torch.cat([r, r[:1]]))
+    solution = least_squares([rows], 20, rows.matrix, damping=0.1, constraints=twice)
+    assert solution.status is SolveStatus.REDUNDANT_CONSTRAINTS
+    assert solution.constraint_residual < 1e-9
+
+
+def test_a_system_with_nan_fails_without_a_step():
+    rows, _, _ = problem(40, 20)
+    rows.target[3] = float("nan")
+    solution = least_squares([rows], 20, rows.matrix)
+    assert solution.status is SolveStatus.FAILED
+    assert torch.equal(solution.x, torch.zeros(20, dtype=torch.float64))
+
+
+def test_correction_meets_new_constraints_at_least_cost():
+    rows, C, r = problem(40, 20)
+    system = LeastSquares(20, rows.matrix)
+    system.add(rows)
+    system.solve(0.1)
+    change = system.correction(C, r)
+    torch.testing.assert_close(C @ change, r)
+    # Least cost in the metric H of the problem: H change lies in the span of the rows of C.
+    H = rows.matrix.T @ (rows.weights[:, None] * rows.matrix) + 0.1 * torch.eye(20, dtype=torch.float64)
+    multipliers = torch.linalg.lstsq(C.T, (H @ change)[:, None]).solution
+    torch.testing.assert_close(C.T @ multipliers, (H @ change)[:, None], rtol=1e-8, atol=1e-8)
+
+
+def test_negative_damping_is_refused():
+    rows, _, _ = problem(40, 20)
+    with pytest.raises(ValueError, match="damping must not be negative"):
+        least_squares([rows], 20, rows.matrix, damping=-1.0)
+
+
+def test_an_unknown_method_is_refused():
+    with pytest.raises(ValueError, match='"auto", "primal" or "dual"'):
+        LeastSquares(3, torch.zeros(1), method="magic")

@@ -1,0 +1,102 @@
+"""Quadrature and samples against closed forms and their order of convergence."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from implicit import Field, SurfaceError, Volume, extract_mesh, sample_surface, shapes, surface_quadrature
+from implicit.functionals import volume_terms
+
+TORUS_AREA = 4 * math.pi**2 * 0.7 * 0.25
+TORUS_VOLUME = 2 * math.pi**2 * 0.7 * 0.25**2
+
+
+def torus_errors(resolution):
+    field = shapes.torus(0.7, 0.25)
+    sample = surface_quadrature(field, resolution)
+    return (
+        abs(float(sample.weights.sum()) / TORUS_AREA - 1),
+        abs(Volume().value(field, sample) / TORUS_VOLUME - 1),
+    )
+
+
+def test_torus_area_and_volume_are_within_1e_5():
+    assert max(torus_errors(64)) < 1e-5
+
+
+def test_quadrature_converges_with_order_three_and_a_half_or_better():
+    coarse, fine = torus_errors(24), torus_errors(72)
+    for before, after in zip(coarse, fine, strict=True):
+        assert math.log(before / after) / math.log(3) > 3.5
+
+
+def test_divergence_theorem_holds_for_x():
+    """int x . n = 3 V about any origin: the field x has divergence 3."""
+    field = shapes.torus(0.6, 0.2)
+    sample = surface_quadrature(field, 64)
+    volume = 2 * math.pi**2 * 0.6 * 0.2**2
+    for shift in (0.0, 5.0):
+        flux = sample.integrate(((sample.points + shift) * sample.normals).sum(dim=1))
+        assert flux / 3 == pytest.approx(volume, rel=2e-5)
+
+
+def test_a_constant_field_has_no_flux():
+    sample = surface_quadrature(shapes.torus(0.7, 0.25), 48)
+    assert float((sample.weights @ sample.normals).norm()) < 1e-5
+
+
+def test_a_circle_has_its_length_and_area():
+    field = shapes.circle(0.5)
+    sample = surface_quadrature(field, 32)
+    assert float(sample.weights.sum()) == pytest.approx(math.pi, rel=1e-6)
+    assert float(volume_terms(sample).sum()) == pytest.approx(math.pi / 4, rel=1e-6)
+
+
+def test_quadrature_points_lie_on_the_surface_with_outward_unit_normals():
+    field = shapes.sphere(radius=0.5, center=(0.1, -0.2, 0.05))
+    sample = surface_quadrature(field, 32)
+    assert float(field.value(sample.points).abs().max()) < 1e-12
+    outward = (sample.points - torch.tensor([0.1, -0.2, 0.05], dtype=torch.float64)) / 0.5
+    torch.testing.assert_close(sample.normals, outward, rtol=0, atol=1e-9)
+
+
+def test_random_samples_are_even_and_repeat_with_their_seed():
+    field = shapes.torus(0.6, 0.25)
+    sample = sample_surface(field, 4000, seed=3)
+    assert torch.equal(sample.points, sample_surface(field, 4000, seed=3).points)
+    assert not torch.equal(sample.points, sample_surface(field, 4000, seed=4).points)
+    # Moments of the torus in closed form: int z^2 = area r^2 / 2, int x^2 = int y^2 over it.
+    area = float(sample.weights.sum())
+    assert area == pytest.approx(4 * math.pi**2 * 0.6 * 0.25, rel=3e-3)
+    assert sample.integrate(sample.points[:, 2] ** 2) / area == pytest.approx(0.25**2 / 2, rel=0.02)
+
+
+def test_mesh_of_a_sphere_faces_outward_and_lies_on_it():
+    V, F = extract_mesh(shapes.sphere(radius=0.5), 64)
+    a, b, c = (V[F[:, k]] for k in range(3))
+    assert np.abs(np.linalg.norm(V, axis=1) - 0.5).max() < 1e-12
+    assert np.einsum("ij,ij->", np.cross(a, b), c) / 6 == pytest.approx(math.pi / 6, rel=2.5e-3)
+
+
+def test_mesh_of_a_circle_keeps_the_inside_on_its_left():
+    V, E = extract_mesh(shapes.circle(0.5), 64)
+    a, b = V[E[:, 0]], V[E[:, 1]]
+    assert 0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() == pytest.approx(math.pi / 4, rel=2e-3)
+
+
+def test_a_field_without_surface_is_refused():
+    field = shapes.sphere(radius=0.5)
+    with pytest.raises(SurfaceError, match="no surface in its bounds"):
+        surface_quadrature(field.with_theta(field.theta * 0 + 1e-9), 8)
+
+
+def test_a_surface_that_leaves_the_bounds_is_refused():
+    with pytest.raises(SurfaceError, match="leaves the bounds"):
+        extract_mesh(Field(shapes.torus(0.7, 0.25).module, bounds=((-0.8,) * 3, (0.8,) * 3)), 16)
+
+
+def test_too_coarse_a_grid_is_refused():
+    with pytest.raises(ValueError, match="at least 4 cells"):
+        extract_mesh(shapes.sphere(radius=0.5), 2)

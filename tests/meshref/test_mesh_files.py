@@ -1,0 +1,204 @@
+"""Files: what is written comes back, and what is broken is refused with one clear error."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from meshref import MeshError, check_mesh, icosphere, read_mesh, torus, volume, write_mesh
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".off", ".PLY"])
+def test_meshes_come_back_to_the_last_bit(tmp_path, suffix, rng):
+    V, F = torus(9, 7)
+    V = V * np.pi + 1e5 * rng.standard_normal(3)
+    write_mesh(tmp_path / f"mesh{suffix}", V, F)
+    read_V, read_F = read_mesh(tmp_path / f"mesh{suffix}")
+    np.testing.assert_array_equal(read_V, V)
+    np.testing.assert_array_equal(read_F, F)
+
+
+def test_stl_comes_back_in_single_precision_and_closed(tmp_path):
+    V, F = icosphere(2)
+    write_mesh(tmp_path / "mesh.stl", V, F)
+    read_V, read_F = read_mesh(tmp_path / "mesh.stl")
+    check_mesh(read_V, read_F, closed=True)
+    np.testing.assert_array_equal(read_V[read_F], V.astype(np.float32)[F])
+
+
+@pytest.mark.parametrize("kind", ["obj", "off", "ply", "stl", "stl_ascii"])
+def test_files_of_trimesh_are_read(tmp_path, kind):
+    V, F = icosphere(2)
+    path = tmp_path / f"mesh.{kind[:3]}"
+    trimesh.Trimesh(V, F, process=False).export(path, file_type=kind)
+    read_V, read_F = read_mesh(path)
+    check_mesh(read_V, read_F, closed=True)
+    assert volume(read_V, read_F) == pytest.approx(volume(V, F), rel=1e-6)
+
+
+@pytest.mark.parametrize("suffix", ["obj", "off", "ply", "stl"])
+def test_trimesh_reads_our_files(tmp_path, suffix):
+    V, F = icosphere(2)
+    write_mesh(tmp_path / f"mesh.{suffix}", V, F)
+    other = trimesh.load_mesh(tmp_path / f"mesh.{suffix}")
+    assert other.is_watertight
+    assert other.volume == pytest.approx(volume(V, F), rel=1e-6)
+
+
+def test_quality_reaches_meshlab(tmp_path):
+    pymeshlab = pytest.importorskip("pymeshlab", reason="pymeshlab is not installed")
+    V, F = icosphere(1)
+    write_mesh(tmp_path / "mesh.ply", V, F, quality=V[:, 0])
+    mesh_set = pymeshlab.MeshSet()
+    mesh_set.load_new_mesh(str(tmp_path / "mesh.ply"))
+    np.testing.assert_allclose(mesh_set.current_mesh().vertex_scalar_array(), V[:, 0], atol=1e-7)
+    np.testing.assert_array_equal(read_mesh(tmp_path / "mesh.ply")[0], V)
+
+
+SQUARE = {
+    "obj": "# a square\nv 0 0 0\nv 1 0 0 1.0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\nf 1/1/1 2//1 3/1 4\n",
+    "obj, backwards": "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf -4 -3 -2 -1\n",
+    "off": "OFF\n# a square\n4 1 0\n\n0 0 0\n1 0 0\n1 1 0 # third\n0 1 0\n4 0 1 2 3 255 0 0\n",
+    "off, short header": "OFF 4 1 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n4 0 1 2 3\n",
+    "ply": "ply\nformat ascii 1.0\ncomment a square\nelement vertex 4\nproperty float x\nproperty float y\n"
+    "property float z\nproperty uchar red\nelement face 1\nproperty list uchar int vertex_index\nend_header\n"
+    "0 0 0 9\n1 0 0 9\n1 1 0 9\n0 1 0 9\n4 0 1 2 3\n",
+}
+
+
+@pytest.mark.parametrize("kind", SQUARE)
+def test_polygons_become_fans(tmp_path, kind):
+    path = tmp_path / f"square.{kind[:3]}"
+    path.write_text(SQUARE[kind])
+    V, F = read_mesh(path)
+    np.testing.assert_array_equal(V, [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    np.testing.assert_array_equal(F, [[0, 1, 2], [0, 2, 3]])
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_binary_ply_of_mixed_polygons(tmp_path, order):
+    name = {"<": "little", ">": "big"}[order]
+    header = (
+        f"ply\nformat binary_{name}_endian 1.0\nelement vertex 5\nproperty float x\nproperty float y\n"
+        "property float z\nelement face 2\nproperty uchar flag\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 0]], dtype=order + "f4")
+    faces = b""
+    for polygon in ([0, 1, 2, 3], [1, 4, 2]):
+        faces += bytes([7, len(polygon)]) + np.array(polygon, dtype=order + "i4").tobytes()
+    (tmp_path / "mesh.ply").write_bytes(header.encode() + points.tobytes() + faces)
+    V, F = read_mesh(tmp_path / "mesh.ply")
+    np.testing.assert_array_equal(V, points)
+    np.testing.assert_array_equal(F, [[0, 1, 2], [0, 2, 3], [1, 4, 2]])
+
+
+PLY = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+PLY_FACES = "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("empty.obj", "", "is empty"),
+        ("blank.off", " \n\n", "is empty"),
+        ("letter.obj", "Dear friend,\nfor all I know this is no mesh.\n", "holds no triangle mesh: it has 0 vertices"),
+        ("vague.obj", "v is for vendetta\nf is for fake\n", "line 1 has 'is for vendetta'"),
+        ("points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "3 vertices and 0 faces.*point cloud"),
+        ("far.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "corner 2 of triangle 0 is vertex 3.*3 vertices"),
+        ("zero.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "line 4 names vertex 0"),
+        ("back.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -4 1 2\n", "line 4 names vertex"),
+        ("two.obj", "v 0 0 0\nv 1 0\n", "line 2 has 2 coordinates"),
+        ("edge.obj", "v 0 0 0\nv 1 0 0\nf 1 2\n", "line 3 has a face with 2 corners"),
+        ("text.off", "Dear friend,\n", "must begin with the word OFF"),
+        ("short.off", "OFF\n4 2 0\n0 0 0\n1 0 0\n", "ends after 2 of 4 vertices"),
+        ("count.off", "OFF\n", "numbers of vertices and faces are missing"),
+        ("binary.off", "OFF BINARY\n", "binary variant"),
+        ("far.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n", "corner 2 of triangle 0 is vertex 7"),
+        ("text.ply", "Dear friend,\n", "must begin with the word ply"),
+        ("head.ply", "ply\nformat ascii 1.0\n", "header does not end"),
+        ("type.ply", "ply\nformat ascii 1.0\nelement vertex 1\nproperty quad x\nend_header\n", "line 4 of its header"),
+        ("format.ply", "ply\nformat morse 1.0\nend_header\n", "format is 'morse'"),
+        ("short.ply", PLY + PLY_FACES + "0 0 0\n1 0 0\n", "ends in its vertex table"),
+        ("words.ply", PLY + PLY_FACES + "0 0 0\n1 0 nought\n", "'1 0 nought'|'nought'"),
+        ("far.ply", PLY + PLY_FACES + "0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n", "corner 2 of triangle 0 is vertex 9"),
+        ("bare.ply", PLY + "end_header\n0 0 0\n1 0 0\n0 1 0\n", "3 vertices and 0 faces"),
+        ("text.stl", "Dear friend,\n", "neither text nor binary"),
+        ("short.stl", "solid x\nvertex 0 0 0\nvertex 1 0 0\n", "2 corners"),
+        ("mesh.xyz", "0 0 0\n", r"must end in .obj, .off, .ply, .stl"),
+        ("mesh", "0 0 0\n", r"must end in .obj"),
+    ],
+)
+def test_broken_files_are_refused_with_the_place(tmp_path, name, content, message):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(MeshError, match=message):
+        read_mesh(tmp_path / name)
+
+
+def test_missing_files_and_directories_are_refused(tmp_path):
+    with pytest.raises(MeshError, match=r"there is no file '.*missing.obj'"):
+        read_mesh(tmp_path / "missing.obj")
+    (tmp_path / "folder.obj").mkdir()
+    with pytest.raises(MeshError, match="is a directory"):
+        read_mesh(tmp_path / "folder.obj")
+
+
+@pytest.mark.parametrize("suffix", ["obj", "off", "ply", "stl"])
+def test_random_bytes_end_in_a_mesh_error(tmp_path, suffix, rng):
+    path = tmp_path / f"noise.{suffix}"
+    path.write_bytes(rng.bytes(2000))
+    with pytest.raises(MeshError):
+        read_mesh(path)
+
+
+@pytest.mark.parametrize("suffix", ["obj", "off", "ply", "stl"])
+def test_files_cut_short_end_in_a_mesh_error_or_an_open_mesh(tmp_path, suffix):
+    V, F = icosphere(1)
+    path = tmp_path / f"mesh.{suffix}"
+    write_mesh(path, V, F)
+    content = path.read_bytes()
+    for part in (0.05, 0.3, 0.6, 0.95):
+        path.write_bytes(content[: int(part * len(content))])
+        with pytest.raises(MeshError):  # a text may end between two faces: then the mesh is open
+            check_mesh(*read_mesh(path), closed=True)
+
+
+def test_coordinates_that_are_not_finite_are_left_to_the_gate(tmp_path):
+    (tmp_path / "nan.obj").write_text("v 0 0 0\nv 1 nan 0\nv 0 1 0\nf 1 2 3\n")
+    V, F = read_mesh(tmp_path / "nan.obj")
+    with pytest.raises(MeshError, match=r"V must be finite.*V\[1\]"):
+        check_mesh(V, F)
+
+
+def test_an_interrupted_write_loses_nothing(tmp_path, monkeypatch):
+    V, F = icosphere(1)
+    path = tmp_path / "mesh.ply"
+    write_mesh(path, V, F)
+
+    def power_cut(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("os.fsync", power_cut)
+    with pytest.raises(KeyboardInterrupt):
+        write_mesh(path, 2 * V, F)
+    np.testing.assert_array_equal(read_mesh(path)[0], V)
+    assert [p.name for p in tmp_path.iterdir()] == ["mesh.ply"]
+
+
+def test_what_cannot_be_written_is_refused(tmp_path):
+    V, F = icosphere(1)
+    with pytest.raises(MeshError, match="cannot be written: No such file"):
+        write_mesh(tmp_path / "nowhere" / "mesh.ply", V, F)
+    with pytest.raises(MeshError, match="must end in"):
+        write_mesh(tmp_path / "mesh.xyz", V, F)
+    with pytest.raises(MeshError, match=r"quality can be written to \.ply only"):
+        write_mesh(tmp_path / "mesh.obj", V, F, quality=V[:, 0])
+    with pytest.raises(MeshError, match=r"quality must have shape \(42,\)"):
+        write_mesh(tmp_path / "mesh.ply", V, F, quality=V)
+    with pytest.raises(MeshError, match=r"single precision of \.stl"):
+        write_mesh(tmp_path / "mesh.stl", 1e300 * V, F)
+    assert not list(tmp_path.iterdir())
+
+
+def test_read_order_is_that_of_the_file(real_mesh):
+    V, F = real_mesh("spot.obj")  # texture seams do not tear it
+    assert (len(V), len(F)) == (2930, 5856)
+    np.testing.assert_array_equal(F[0], [738, 734, 735])
