@@ -4,7 +4,7 @@ The method is boundary sensitivity [Berzins, Ibing, Kobbelt: Neural Implicit Sha
 Sensitivity, ICLR 2023, arXiv:2304.12951].
 """
 
-from implicit.evolve import Edit, EditStatus, evolve
+from implicit.evolve import Edit, EditStatus
 from implicit.extraction import SurfaceError, extract_mesh, project_to_surface
 from implicit.field import Field, Units, decoder_field, load_field, save_field
 from implicit.functionals import Area, Functional, SurfaceIntegral, Volume, VolumeIntegral
@@ -40,7 +40,6 @@ __all__ = [
     "adjoint",
     "basis",
     "decoder_field",
-    "evolve",
     "extract_mesh",
     "geometric_edit",
     "load_field",

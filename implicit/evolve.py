@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, Protocol
 
@@ -104,6 +104,7 @@ class StepProblem:
     space: DeformationSpace
     energies: Sequence[Energy]
     damping: float | None = None  # fixed; None lets the loop choose it by the linearity error
+    first_damping: float = 1e-7  # where that choice begins, relative to the trace of the normal matrix
     allowed_miss: float = 0.02  # nonlinear part of the motion that is accepted, relative to the motion
     # Motion along the surface that the normal motion leaves open, of the carried points (all, tracked ones last).
     slide: Callable[[Tensor, Tensor], Tensor] | None = None
@@ -169,7 +170,7 @@ def evolve(
         history.append(row)
         if progress is not None:
             progress(step + 1, steps, row)
-    return Edit(
+    edit = Edit(
         field=field,
         points=start.points,
         normals=start.normals,
@@ -181,6 +182,20 @@ def evolve(
         status=status,
         seconds=time.perf_counter() - began,
     )
+    if status is EditStatus.DONE and not _reached(edit):
+        edit = replace(edit, status=EditStatus.NOT_REACHED)
+    return edit
+
+
+def _reached(edit: Edit) -> bool:
+    """Whether the root mean square of the error field is at most a tenth, where a displacement was asked for."""
+    error = edit.error_field()
+    asked = torch.isfinite(edit.wanted).all(dim=1)
+    moved = asked & (edit.wanted.norm(dim=1) > 0)
+    if not bool(moved.any()):
+        return True
+    return bool((error[asked] * edit.weights[asked].sqrt()).norm() <= 0.1 * edit.weights[moved].sum().sqrt())
+
 
 
 def _take(
@@ -263,8 +278,9 @@ def _trial(
     """
     field = state.field
     last: _Trial | EditStatus = EditStatus.UNSTABLE
+    damping = trust.begin(problem.first_damping)
     for solves in range(1, trust.tries + 1):
-        solution = system.solve(problem.damping, fixed, relative_damping=trust.damping)
+        solution = system.solve(problem.damping, fixed, relative_damping=damping)
         if solution.status is SolveStatus.FAILED:
             return EditStatus.NOT_FINITE
         moved = field.with_theta(field.theta + problem.space.split(solution.x)[0])
@@ -288,7 +304,7 @@ def _trial(
                 trust.after(miss / allowed)
         if good or problem.damping is not None:
             break
-        trust.raise_damping()
+        damping = trust.raise_damping()
     return last
 
 
@@ -314,15 +330,24 @@ class _Trust:
     tries = 8
 
     def __init__(self, dtype: torch.dtype) -> None:
-        self._least = 1e-10 if dtype == torch.float64 else 1e-7
-        self.damping = 1e-7
+        # Rounding in the normal matrix itself is about the precision times its trace.
+        self._least = 1e-13 if dtype == torch.float64 else 1e-7
+        self.damping: float | None = None
 
-    def raise_damping(self) -> None:
+    def begin(self, damping: float) -> float:
+        """The damping to try first: the last step's, or where the operation begins."""
+        self.damping = max(damping if self.damping is None else self.damping, self._least)
+        return self.damping
+
+    def raise_damping(self) -> float:
         """After a try whose nonlinear part was too large."""
+        assert self.damping is not None
         self.damping *= 10
+        return self.damping
 
     def after(self, ratio: float) -> None:
         """After a good try, with the ratio of its nonlinear part to what is allowed."""
+        assert self.damping is not None
         if ratio < 0.3:
             self.damping = max(self.damping / 10**0.5, self._least)
 

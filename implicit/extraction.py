@@ -18,6 +18,12 @@ Vertices = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 
+# Cells along a block that is evaluated or left out as a whole, and the factor by which the largest gradient seen at
+# the blocks' centres is raised to bound those in between.
+BLOCK_CELLS = 4
+GRADIENT_SAFETY = 1.5
+
+
 class SurfaceError(ValueError):
     """The field has no usable surface inside its bounds."""
 
@@ -139,16 +145,44 @@ def project_to_surface(
 
 
 def grid_values(field: Field, axes: list[Tensor]) -> Tensor:
-    """f on the product grid of the axes, one slab after another so that memory stays bounded."""
-    shape = [len(axis) for axis in axes]
-    values = torch.empty(shape, dtype=field.dtype, device=field.device)
-    slab = torch.stack(torch.meshgrid(*axes[1:], indexing="ij"), dim=-1).reshape(-1, field.dimension - 1)
-    for i, x in enumerate(axes[0]):
-        points = torch.cat([x.expand(len(slab), 1), slab], dim=1)
-        values[i] = field.value(points).view(shape[1:])
+    """f on the product grid of the axes, evaluated only in blocks of cells that can hold the surface.
+
+    A block is left out where |f| at its centre exceeds half its diagonal times a bound on |df/dx|: the largest
+    gradient seen at any centre, with a safety factor. Its nodes take the value at the centre, which has the right
+    sign. Memory is one number a node; the evaluations themselves are chunked.
+    """
+    counts = [-(-(len(axis) - 1) // BLOCK_CELLS) for axis in axes]
+    cell = float(axes[0][1] - axes[0][0])
+    centers = [
+        axis[0] + cell * BLOCK_CELLS * (0.5 + torch.arange(count, dtype=axis.dtype, device=axis.device))
+        for axis, count in zip(axes, counts, strict=True)
+    ]
+    middle = torch.stack(torch.meshgrid(*centers, indexing="ij"), dim=-1).reshape(-1, field.dimension)
+    f, g = field.value_and_gradient(middle)
+    if not bool(torch.isfinite(f).all() and torch.isfinite(g).all()):
+        raise SurfaceError("The field is NaN or infinite inside its bounds. Mend its parameters, or shrink the bounds.")
+    half_diagonal = 0.5 * cell * BLOCK_CELLS * field.dimension**0.5
+    bound = GRADIENT_SAFETY * float(g.norm(dim=1).max()) * half_diagonal
+    near = (f.abs() <= bound).view(counts)
+    values, wanted = f.view(counts), near
+    for axis, nodes in enumerate(axes):
+        values = _to_nodes(values, axis, len(nodes))[0]
+        here, before = _to_nodes(wanted, axis, len(nodes))
+        wanted = here | before
+    values = values.contiguous()
+    index = wanted.nonzero()
+    points = torch.stack([axis[index[:, k]] for k, axis in enumerate(axes)], dim=1)
+    values[wanted] = field.value(points)
     if not bool(torch.isfinite(values).all()):
         raise SurfaceError("The field is NaN or infinite inside its bounds. Mend its parameters, or shrink the bounds.")
     return values
+
+
+def _to_nodes(blocks: Tensor, axis: int, count: int) -> tuple[Tensor, Tensor]:
+    """Along one axis, what each node gets from the block after it and from the block before it."""
+    cells = blocks.repeat_interleave(BLOCK_CELLS, dim=axis).narrow(axis, 0, count - 1)
+    first, last = cells.narrow(axis, 0, 1), cells.narrow(axis, count - 2, 1)
+    return torch.cat([cells, last], dim=axis), torch.cat([first, cells], dim=axis)
 
 
 def _axes(field: Field, resolution: int) -> tuple[list[Tensor], float]:

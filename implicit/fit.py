@@ -6,6 +6,16 @@ With d the distance of a sample x (negative inside) and n its gradient there, th
 
 so far from the surface only the ratio of error to distance counts: that is enough for the sign, which keeps the space
 free of stray pieces, and leaves the network to the surface.
+
+Which training wins was measured on 3 layers of 32 sines, mean distance from the surface in % of the diagonal of its box
+after so many seconds of one core (fandisk, bunny):
+
+    Adam                                         8 s   0.044, 0.069     30 s   0.040, 0.049
+    SOAP (implicit.soap)                         8 s   0.037, 0.056     30 s   0.028, 0.047
+    SOAP for 8 s, then Levenberg-Marquardt                              30 s   0.036, 0.064
+
+A Levenberg-Marquardt step on all 2273 parameters takes a second, and lowers the loss of 8000 samples more than that of
+the rest; begun at once it is far behind. So SOAP it is, and nothing after it.
 """
 
 from __future__ import annotations
@@ -51,7 +61,7 @@ class Progress:
     """Where a training stood."""
 
     step: int
-    seconds: float  # since the start, without those of an interrupted run before
+    seconds: float  # since the start; of an interrupted fit, those of the runs before count too
     loss: float  # root of the loss, a length: the typical error near the surface
 
 
@@ -61,7 +71,7 @@ class Training:
 
     steps: int
     seconds: float
-    history: tuple[Progress, ...]  # up to 100 rows
+    history: tuple[Progress, ...]  # about 100 rows; of an interrupted fit, those since it went on
     value_error: float  # mean |f - d| over the samples within the band, a length
     normal_error: float  # mean angle between df/dx and n over the same samples, in degrees
     band: float
@@ -78,9 +88,9 @@ def fit_field(
     activation: Literal["sine", "softplus", "relu"] = "sine",
     first_frequency: float = 12.0,
     frequency: float = 6.0,
-    steps: int = 3000,
+    steps: int = 4000,
     seconds: float | None = None,
-    batch: int = 4096,
+    batch: int = 2048,
     learning_rate: float | None = None,
     method: Literal["soap", "adam"] = "soap",
     band: float | None = None,
@@ -104,7 +114,8 @@ def fit_field(
         width: Units in each hidden layer.
         depth: Hidden layers.
         activation: "sine" makes a Siren, "softplus" or "relu" an Mlp.
-        first_frequency: Of a Siren: about how many half waves cross the bounds in the first layer at the start.
+        first_frequency: Of a Siren: about how many half waves cross the bounds in the first layer at the start. Siren
+            says how 12 was chosen; raise it for fine detail, and check that no stray pieces come.
         frequency: Of a Siren: factor in the later layers.
         steps: Steps to take. With the same seed, data and number of threads they give the same bits.
         seconds: Stop after this time even if steps are left; the schedule then follows the time where it is ahead, so
@@ -128,6 +139,7 @@ def fit_field(
     Raises:
         ValueError: The samples do not fit each other, are not finite, lie all on one side of the surface or all away
             from it; an option is out of range; or the checkpoint belongs to another fit.
+        FileNotFoundError: The folder of the checkpoint is missing.
     """
     start = perf_counter()
     dimension = _check_samples(points, distances, normals)
@@ -140,6 +152,11 @@ def fit_field(
         raise ValueError(
             'method must be "soap" or "adam" and activation "sine", "softplus" or "relu", but are '
             f"{method!r} and {activation!r}."
+        )
+    path = None if checkpoint is None else Path(checkpoint)
+    if path is not None and not path.parent.is_dir():
+        raise FileNotFoundError(
+            f"There is no folder {path.parent} to write the checkpoint {path.name} to. Make it first."
         )
     if learning_rate is None:
         learning_rate = _LEARNING_RATES[method, activation]
@@ -160,51 +177,21 @@ def fit_field(
         module = Mlp(dimension, width, depth, activation=activation, generator=generator)
     module.to(device=points.device, dtype=dtype)
     optimiser = Soap([layer for layer in module.layers if isinstance(layer, nn.Linear)], rotate=method == "soap")
-    run = _Run(module, optimiser, generator)
-    path = None if checkpoint is None else Path(checkpoint)
+    run = _Run(module, optimiser, generator, start, path)
     if path is not None:
         settings = [module.describe(), steps, batch, learning_rate, method, band, seed, str(dtype), data.fingerprint()]
         run.fingerprint = hashlib.sha256(json.dumps(settings).encode()).hexdigest()
         if path.exists():
             run.load(path)
-
-    status = FitStatus.DONE
-    history: list[Progress] = []
-    shown = max(1, steps // 100)
-    kept = max(1, steps // 20)
-    last_good = {name: value.clone() for name, value in module.state_dict().items()}
-    while run.step < steps:
-        spent = run.seconds_before + perf_counter() - start
-        done = run.step / steps if seconds is None else max(run.step / steps, spent / seconds)
-        if done >= 1:
-            status = FitStatus.OUT_OF_TIME
-            break
-        rate = learning_rate * min(1.0, (run.step + 1) / WARM_UP) * max(LAST_RATE, (1 + math.cos(math.pi * done)) / 2)
-        loss = data.loss(module, batch, generator)
-        module.zero_grad(set_to_none=True)
-        loss.backward()
-        optimiser.step(rate)
-        run.step += 1
-        if run.step % shown == 0 or run.step == steps:
-            size = math.sqrt(float(loss.detach())) * half if bool(torch.isfinite(loss)) else math.nan
-            if not math.isfinite(size) or not all(bool(torch.isfinite(p).all()) for p in module.parameters()):
-                module.load_state_dict(last_good)
-                status = FitStatus.DIVERGED
-                break
-            last_good = {name: value.clone() for name, value in module.state_dict().items()}
-            history.append(Progress(run.step, perf_counter() - start, size))
-            if progress is not None:
-                progress(run.step, steps, size)
-        if path is not None and (run.step % kept == 0 or run.step == steps):
-            run.save(path, run.seconds_before + perf_counter() - start)
+    status = run.train(data, steps, seconds, batch, learning_rate, progress, half)
 
     value_error, normal_error = data.errors(module)
     _fold(module, middle, half)
     field = Field(module, bounds=(box[0].tolist(), box[1].tolist()), units=units)
     training = Training(
         steps=run.step,
-        seconds=run.seconds_before + perf_counter() - start,
-        history=tuple(history),
+        seconds=run.seconds,
+        history=tuple(run.history),
         value_error=value_error * half,
         normal_error=normal_error,
         band=band * half,
@@ -270,13 +257,65 @@ class _Samples:
 class _Run:
     """All that a training carries from step to step, and its checkpoints."""
 
-    def __init__(self, module: nn.Module, optimiser: Soap, generator: torch.Generator) -> None:
+    def __init__(
+        self, module: nn.Module, optimiser: Soap, generator: torch.Generator, start: float, path: Path | None
+    ) -> None:
         self.module, self.optimiser, self.generator = module, optimiser, generator
+        self.path = path
         self.step = 0
-        self.seconds_before = 0.0
+        self.history: list[Progress] = []
         self.fingerprint = ""
+        self._start = start
 
-    def save(self, path: Path, seconds: float) -> None:
+    @property
+    def seconds(self) -> float:
+        """Since the start, with those of the interrupted runs before."""
+        return perf_counter() - self._start
+
+    def train(
+        self,
+        data: _Samples,
+        steps: int,
+        seconds: float | None,
+        batch: int,
+        learning_rate: float,
+        progress: Callable[[int, int, float], None] | None,
+        unit: float,
+    ) -> FitStatus:
+        """Take the steps that are left; losses are told in lengths of `unit`."""
+        shown, kept = max(1, steps // 100), max(1, steps // 20)
+        last_good = self._weights()
+        while self.step < steps:
+            done = self.step / steps if seconds is None else max(self.step / steps, self.seconds / seconds)
+            if done >= 1:
+                self.save()
+                return FitStatus.OUT_OF_TIME
+            loss = data.loss(self.module, batch, self.generator)
+            self.module.zero_grad(set_to_none=True)
+            loss.backward()
+            rise, fall = min(1.0, (self.step + 1) / WARM_UP), (1 + math.cos(math.pi * done)) / 2
+            self.optimiser.step(learning_rate * rise * max(LAST_RATE, fall))
+            self.step += 1
+            if self.step % shown == 0 or self.step == steps:
+                size = float(loss.detach().sqrt()) * unit
+                if not math.isfinite(size) or not all(bool(torch.isfinite(p).all()) for p in self.module.parameters()):
+                    self.module.load_state_dict(last_good)
+                    return FitStatus.DIVERGED
+                last_good = self._weights()
+                self.history.append(Progress(self.step, self.seconds, size))
+                if progress is not None:
+                    progress(self.step, steps, size)
+            if self.step % kept == 0 or self.step == steps:
+                self.save()
+        return FitStatus.DONE
+
+    def _weights(self) -> dict[str, Tensor]:
+        return {name: value.clone() for name, value in self.module.state_dict().items()}
+
+    def save(self) -> None:
+        """Write the checkpoint, if one was asked for."""
+        if self.path is None:
+            return
         from safetensors.torch import save
 
         state = {f"module.{name}": value for name, value in self.module.state_dict().items()}
@@ -286,12 +325,13 @@ class _Run:
             "format": "implicit-training-1",
             "fit": self.fingerprint,
             "step": str(self.step),
-            "seconds": repr(seconds),
+            "seconds": repr(self.seconds),
         }
         content = {name: value.detach().cpu().contiguous().clone() for name, value in state.items()}
-        replace_file(path, save(content, metadata=header))
+        replace_file(self.path, save(content, metadata=header))
 
     def load(self, path: Path) -> None:
+        """Go on from a checkpoint."""
         from safetensors import SafetensorError, safe_open
 
         try:
@@ -314,7 +354,7 @@ class _Run:
             value.copy_(state[f"optimiser.{name}"])
         self.generator.set_state(state["generator"])
         self.step = self.optimiser.steps = int(header["step"])
-        self.seconds_before = float(header["seconds"])
+        self._start -= float(header["seconds"])
 
 
 def _check_samples(points: Tensor, distances: Tensor, normals: Tensor) -> int:

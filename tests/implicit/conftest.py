@@ -5,6 +5,7 @@ import torch
 from torch import Tensor, nn
 
 from implicit import Field, Siren
+from implicit.shapes import bundled
 
 
 class Wobbly(nn.Module):
@@ -63,4 +64,11 @@ def any_field(request: pytest.FixtureRequest) -> Field:
 
 @pytest.fixture
 def wobbly() -> Field:
-    return siren_field()
+    """A narrower network, P = 625, for what does not depend on the width."""
+    return Field(Wobbly(seeded_siren(16)))
+
+
+@pytest.fixture(scope="session")
+def spot() -> Field:
+    """A real shape in the paper's network, in float64."""
+    return bundled("spot").to(torch.float64)

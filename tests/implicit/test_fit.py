@@ -134,6 +134,8 @@ def test_a_checkpoint_of_another_fit_or_a_damaged_one_is_refused(tmp_path):
         fit_field(*data, steps=4, batch=64, checkpoint=path, seed=1)
     with pytest.raises(ValueError, match=r"belongs to another fit"):
         fit_field(*samples(TORUS, 2000, seed=1), steps=4, batch=64, checkpoint=path)
+    with pytest.raises(FileNotFoundError, match=r"no folder .*missing to write the checkpoint a.safetensors"):
+        fit_field(*data, steps=4, batch=64, checkpoint=tmp_path / "missing" / "a.safetensors")
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(ValueError, match=r"not a whole checkpoint .* Remove it"):
         fit_field(*data, steps=4, batch=64, checkpoint=path)

@@ -3,65 +3,53 @@
 import pytest
 import torch
 
-from implicit import Ball, Handle, HalfSpace, RigidMotion, Volume, rigid_edit, sample_surface, shapes
+from implicit import Ball, Handle, HalfSpace, RigidMotion, Volume, rigid_edit, sample_surface, shapes, surface_quadrature
+from implicit.evolve import EditStatus
 from implicit.tangential import CosineFeatures
 
-TOP = HalfSpace((0, 0, 0.3), (0, 0, 1))
-BOTTOM = HalfSpace((0, 0, -0.3), (0, 0, -1))
+HEAD = HalfSpace((0, 0.5, 0), (0, 1, 0))
+FEET = HalfSpace((0, -0.6, 0), (0, -1, 0))
 
 
-def features(field):
-    return CosineFeatures(field, waves=60)
+@pytest.fixture(scope="module")
+def features(spot):
+    return CosineFeatures(spot, waves=100)
 
 
-def test_equal_translations_of_all_handles_move_everything_alike(wobbly):
-    way = (0.05, 0.0, 0.0)
-    track = sample_surface(wobbly, 60, seed=4).points
-    edit = rigid_edit(
-        wobbly, [Handle(TOP, way), Handle(BOTTOM, way)], points=500, tangential=features(wobbly), track=track, steps=2
-    )
+def test_equal_translations_of_all_handles_move_everything_alike(spot, features):
+    way = (0.03, 0.0, 0.0)
+    track = sample_surface(spot, 60, seed=4).points
+    edit = rigid_edit(spot, [Handle(HEAD, way), Handle(FEET, way)], points=600, tangential=features, track=track)
     moved = edit.tracked - track
-    torch.testing.assert_close(moved, torch.tensor(way, dtype=torch.float64).expand(60, 3), rtol=0, atol=2e-3)
+    torch.testing.assert_close(moved, torch.tensor(way, dtype=torch.float64).expand(60, 3), rtol=0, atol=1e-3)
 
 
-def test_a_common_rotation_turns_everything_alike(wobbly):
-    motion = RigidMotion(rotation=(0, 0, 0.4))
-    track = sample_surface(wobbly, 60, seed=4).points
-    edit = rigid_edit(
-        wobbly,
-        [Handle(TOP, motion), Handle(BOTTOM, motion)],
-        points=500,
-        tangential=features(wobbly),
-        steps=4,
-        track=track,
-    )
-    torch.testing.assert_close(edit.tracked, motion.at(1.0, track), rtol=0, atol=6e-3)
+def test_a_common_rotation_turns_everything_alike(spot, features):
+    motion = RigidMotion(rotation=(0, 0.1, 0))
+    track = sample_surface(spot, 60, seed=4).points
+    handles = [Handle(HEAD, motion), Handle(FEET, motion)]
+    edit = rigid_edit(spot, handles, points=600, tangential=features, steps=2, track=track)
+    torch.testing.assert_close(edit.tracked, motion.at(1.0, track), rtol=0, atol=4e-3)
 
 
-def test_handles_go_where_they_are_told(wobbly):
-    edit = rigid_edit(
-        wobbly,
-        [Handle(BOTTOM, (0.0, 0, 0)), Handle(TOP, (0.1, 0.0, 0.0))],
-        points=500,
-        tangential=features(wobbly),
-        steps=2,
-    )
+def test_handles_go_where_they_are_told_and_the_anchor_stays(spot, features):
+    handles = [Handle(FEET, (0.0, 0, 0)), Handle(HEAD, (0.1, 0.0, 0.0))]
+    edit = rigid_edit(spot, handles, points=600, tangential=features, steps=2)
     error = edit.error_field()
     held = torch.isfinite(error)
+    assert edit.status is EditStatus.DONE
     assert 0 < int(held.sum()) < len(error)
-    assert float(error[held].square().mean().sqrt()) < 0.03
+    assert float(error[held].square().mean().sqrt()) < 0.02
+    assert float((edit.displacement - edit.wanted)[held].norm(dim=1).max()) < 0.02
 
 
 def test_volume_can_be_kept(wobbly):
+    handles = [Handle(HalfSpace((0, 0, -0.3), (0, 0, -1)), (0.0, 0, 0)), Handle(HalfSpace((0, 0, 0.3), (0, 0, 1)), (0, 0, 0.05))]
+    before = Volume().value(wobbly, surface_quadrature(wobbly, 24))
     edit = rigid_edit(
-        wobbly,
-        [Handle(BOTTOM, (0.0, 0, 0)), Handle(TOP, (0.0, 0.0, 0.1))],
-        points=400,
-        tangential=features(wobbly),
-        constraints=(Volume(),),
+        wobbly, handles, points=300, tangential=CosineFeatures(wobbly, waves=40), constraints=(Volume(),), resolution=24
     )
-    first, last = edit.history[0], edit.history[-1]
-    assert last["volume"] == pytest.approx(first["volume"], rel=1e-6)
+    assert edit.history[-1]["volume"] == pytest.approx(before, rel=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -77,10 +65,8 @@ def test_bad_handles_are_refused(wobbly, handles, message):
 
 
 def test_handles_on_one_line_are_refused(wobbly):
-    """Points of one thin stripe: a rotation about it stays open."""
+    """Two points: the rotation about the line through them stays open."""
     sample = sample_surface(wobbly, 300)
-    on_axis = sample.points[:, 0].abs() < 1e9
-    assert bool(on_axis.all())
     two = sample.points[:2]
 
     def region(points):

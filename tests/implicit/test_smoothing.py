@@ -32,7 +32,7 @@ def test_a_sphere_shrinks_by_its_law(dimension, rate):
 def test_volume_is_kept_and_area_falls(wobbly):
     sample = surface_quadrature(wobbly, 64)
     volume, area = Volume().value(wobbly, sample), Area().value(wobbly, sample)
-    edit = smooth(wobbly, steps=5, step_size=1e-3, points=800, constraints=(Volume(),))
+    edit = smooth(wobbly, steps=3, step_size=1e-3, points=800, constraints=(Volume(),))
     after = surface_quadrature(edit.field, 64)
     assert edit.status is EditStatus.DONE
     assert Volume().value(edit.field, after) == pytest.approx(volume, rel=1e-5)
@@ -73,6 +73,7 @@ def test_bad_input_is_refused(options, message):
 
 def test_a_sphere_that_vanishes_ends_with_a_status():
     edit = smooth(shapes.sphere(radius=0.3), steps=200, step_size=2e-3, method="explicit", points=100)
+    # R^2 = 0.09 - 4 t is spent after 11.25 steps of 2e-3.
     assert edit.status is not EditStatus.DONE
+    assert 8 <= len(edit.history) <= 13
     assert torch.isfinite(edit.field.theta).all()
-    assert 0.2 * 0.3**2 > 4 * 2e-3 * (200 - len(edit.history)) - 1.6 or len(edit.history) < 12
