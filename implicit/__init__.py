@@ -1,4 +1,4 @@
-"""Edit neural fields f(x; theta) directly: geometric, rigid, smoothing, under hard constraints, with no mesh in between.
+"""Edit neural fields f(x; theta) directly: geometric, rigid, smoothing, under constraints, with no mesh in between.
 
 The method is boundary sensitivity [Berzins, Ibing, Kobbelt: Neural Implicit Shape Editing using Boundary
 Sensitivity, ICLR 2023, arXiv:2304.12951].

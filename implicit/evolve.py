@@ -197,7 +197,6 @@ def _reached(edit: Edit) -> bool:
     return bool((error[asked] * edit.weights[asked].sqrt()).norm() <= 0.1 * edit.weights[moved].sum().sqrt())
 
 
-
 def _take(
     state: State, operation: Operation, guard: _Guard, trust: _Trust, carried: Tensor
 ) -> tuple[Field, Tensor, Row] | EditStatus:
@@ -364,6 +363,8 @@ class _Guard:
         self.sample: SurfaceSample | None = None
         self.gap = 0.0
         self.values: Row = {}
+        names = [c.name for c in self.constraints]
+        self._names = [n if names.count(n) == 1 else f"{n}_{k + 1}" for k, n in enumerate(names)]
         if self.constraints:
             self.sample = surface_quadrature(field, resolution)
             measured = self._measure(field)
@@ -377,42 +378,38 @@ class _Guard:
     def _measure(self, field: Field) -> list[float]:
         assert self.sample is not None
         values = [c.value(field, self.sample) for c in self.constraints]
-        self.values = {c.name if i == 0 or c.name not in [k.name for k in self.constraints[:i]] else f"{c.name}_{i}": v
-                       for i, (c, v) in enumerate(zip(self.constraints, values, strict=True))}
+        self.values = dict(zip(self._names, values, strict=True))
         return values
 
     def rows(self, field: Field, size: int) -> tuple[Tensor, Tensor] | None:
         """C and r of the step: the sensitivities, and how far each value is from its target."""
         if not self.constraints:
             return None
+        gaps = [t - v for t, v in zip(self._targets, self._measure(field), strict=True)]
+        return self._sensitivities(field, size), field.theta.new_tensor(gaps)
+
+    def _sensitivities(self, field: Field, size: int) -> Tensor:
         assert self.sample is not None
         C = field.theta.new_zeros(len(self.constraints), size)
         for k, constraint in enumerate(self.constraints):
             C[k, : len(field.theta)] = constraint.sensitivity(field, self.sample)
-        gaps = [t - v for t, v in zip(self._targets, self._measure(field), strict=True)]
-        return C, field.theta.new_tensor(gaps)
+        return C
 
     def restore(self, field: Field, system: LeastSquares, space: DeformationSpace) -> Field | EditStatus:
         """Newton's method on the measured values, each correction the one that disturbs the step least."""
-        if not self.constraints:
-            return field
-        for iteration in range(self.iterations):
+        C: Tensor | None = None
+        for _ in range(self.iterations):
             try:
                 self.sample = surface_quadrature(field, self.resolution)
             except ValueError:
                 return EditStatus.SURFACE_LOST
-            values = self._measure(field)
-            relative = [
-                abs(t - v) / s for t, v, s in zip(self._targets, values, self._scales, strict=True)
-            ]
-            self.gap = max(relative)
+            gaps = [t - v for t, v in zip(self._targets, self._measure(field), strict=True)]
+            self.gap = max(abs(g) / s for g, s in zip(gaps, self._scales, strict=True))
             if self.gap <= self._tolerance:
                 return field
-            if iteration == self.iterations - 1:
-                break
-            rows = self.rows(field, space.size)
-            assert rows is not None
-            change = system.correction(*rows)[: space.parameters]
+            if C is None:  # the corrections are small, so one set of sensitivities serves them all
+                C = self._sensitivities(field, space.size)
+            change = system.correction(C, field.theta.new_tensor(gaps))[: space.parameters]
             if not field.require_finite(field.theta + change):
                 return EditStatus.NOT_FINITE
             field = field.with_theta(field.theta + change)

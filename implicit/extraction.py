@@ -201,8 +201,8 @@ def _require_inside_bounds(values: Tensor, field: Field) -> None:
     if not bool(inside.any()) or bool(inside.all()):
         what = "f > 0" if not bool(inside.any()) else "f < 0"
         raise SurfaceError(
-            f"The field has no surface in its bounds {field.bounds.tolist()}: {what} on the whole grid. Check level and "
-            "inside, widen the bounds, or raise the resolution."
+            f"The field has no surface in its bounds {field.bounds.tolist()}: {what} on the whole grid. Check level "
+            "and inside, widen the bounds, or raise the resolution."
         )
     shell = torch.ones_like(inside)
     shell[(slice(1, -1),) * inside.ndim] = False

@@ -127,7 +127,7 @@ class Field:
         self.bounds: Float[Tensor, "2 d"] = box
         self.layout = layout
         self.units = units if units is not None else Units(1.0, (0.0,) * self.dimension)
-        self._sign = 1.0 if inside == "negative" else -1.0
+        self.sign: float = 1.0 if inside == "negative" else -1.0
         self._raw = function
         self._store = store
         self._check_shape_of_values()
@@ -173,7 +173,7 @@ class Field:
 
     def function(self, theta: Float[Tensor, " p"], points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
         """f(points; theta), differentiable in both arguments and usable under torch.func transforms."""
-        return (self._raw(theta, points).reshape(points.shape[0]) - self.level) * self._sign
+        return (self._raw(theta, points).reshape(points.shape[0]) - self.level) * self.sign
 
     def value(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
         """f at the points, in chunks and without a graph; negative inside."""
@@ -244,8 +244,8 @@ class Field:
         if bool(bad.any()):
             i = int(bad.nonzero()[0])
             raise ValueError(
-                f"The gradient of the field vanishes or is not finite: |df/dx| = {float(length[i]):.3g} at points[{i}], "
-                f"median {float(length.median()):.3g}. Leave that point out, or refit the field there."
+                f"The gradient of the field vanishes or is not finite: |df/dx| = {float(length[i]):.3g} at "
+                f"points[{i}], median {float(length.median()):.3g}. Leave that point out, or refit the field there."
             )
         return length
 
@@ -339,7 +339,7 @@ def decoder_field(
     return field
 
 
-def _decoded(decoder: Callable[[Tensor, Tensor], Tensor]) -> Callable[[Tensor, Tensor], Tensor]:
+def _decoded(decoder: nn.Module | Callable[[Tensor, Tensor], Tensor]) -> Callable[[Tensor, Tensor], Tensor]:
     def decoded(theta: Tensor, points: Tensor) -> Tensor:
         return decoder(points, theta)
 
@@ -359,17 +359,20 @@ def save_field(field: Field, path: str | PathLike[str]) -> None:
     from implicit.files import replace_file
 
     module = field.module
-    if module is None or not hasattr(module, "describe"):
+    describe = getattr(module, "describe", None)
+    if module is None or not callable(describe):
         raise TypeError(
             "save_field needs a module that describes itself (Siren, an analytic shape, or a class registered with "
             f"implicit.models.register), but the field holds a {type(module).__name__}. Save its state_dict yourself."
         )
     state = {name: tensor.detach().cpu().contiguous() for name, tensor in module.state_dict().items()}
+    if any(block.name not in state for block in field.layout):
+        raise TypeError("save_field stores the weights of a module, but this field edits a latent code. Save the code.")
     for block in field.layout:
         state[block.name] = field.theta[block.where].view(block.shape).cpu().contiguous()
     header = {
         "format": "implicit-field-1",
-        "architecture": json.dumps(module.describe()),
+        "architecture": json.dumps(describe()),
         "parameters": json.dumps([block.name for block in field.layout]),
         "level": repr(field.level),
         "inside": field.inside,
@@ -393,11 +396,13 @@ def load_field(path: str | PathLike[str], *, device: torch.device | str = "cpu")
     from implicit.models import build
 
     if not Path(path).is_file():
-        raise FileNotFoundError(f"There is no field file {fspath(path)}. Make one with save_field or fit it from a mesh.")
+        raise FileNotFoundError(
+            f"There is no field file {fspath(path)}. Make one with save_field or fit it from a mesh."
+        )
     try:
         with safe_open(fspath(path), framework="pt") as file:
             header = file.metadata() or {}
-            state = {name: file.get_tensor(name) for name in file.keys()}
+            state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  a safe_open is no dict
     except SafetensorError as error:
         raise ValueError(
             f"{fspath(path)} is not a whole safetensors file ({error}). It may have been cut short: write it again."
@@ -432,13 +437,17 @@ def _selected(module: nn.Module, patterns: Iterable[str] | None) -> dict[str, nn
         patterns = [patterns] if isinstance(patterns, str) else list(patterns)
         for pattern in patterns:
             if not any(fnmatchcase(name, pattern) for name in named):
-                raise ValueError(f"No parameter of the module matches {pattern!r}. It has {', '.join(named) or 'none'}.")
+                raise ValueError(
+                    f"No parameter of the module matches {pattern!r}. It has {', '.join(named) or 'none'}."
+                )
         named = {name: p for name, p in named.items() if any(fnmatchcase(name, pattern) for pattern in patterns)}
     if not named:
         raise ValueError("The module has no parameters to edit. For a latent code use decoder_field.")
     kinds = {(p.dtype, p.device) for p in named.values()}
     if len(kinds) > 1 or not next(iter(kinds))[0].is_floating_point:
-        raise ValueError(f"The parameters must share one floating dtype and device, but have {sorted(map(str, kinds))}.")
+        raise ValueError(
+            f"The parameters must share one floating dtype and device, but have {sorted(map(str, kinds))}."
+        )
     return named
 
 

@@ -147,6 +147,6 @@ def _require_rigid_motion_fixed(points: Tensor) -> None:
     spread = torch.linalg.svdvals((points - points.mean(dim=0)).double()) if len(points) >= 3 else None
     if spread is None or not bool(spread[1] > 1e-6 * spread[0]):
         raise ValueError(
-            f"The handles hold {len(points)} sample points, which do not fix a rigid motion: at least three that are not "
-            "on one line are needed. Widen the regions, add an anchor, or raise points."
+            f"The handles hold {len(points)} sample points, which do not fix a rigid motion: at least three that are "
+            "not on one line are needed. Widen the regions, add an anchor, or raise points."
         )

@@ -18,6 +18,7 @@ from torch import Tensor
 from torch.func import grad, jvp, vmap
 
 from implicit.field import CHUNK, Field
+from implicit.plain import is_plain, plain_gradient, plain_gradient_and_slope
 
 # Numbers in the largest block of B made at once, 256 MB in float64: enough rows for the symmetric product, whose
 # every call reads and writes the whole normal matrix.
@@ -52,6 +53,8 @@ def basis_block(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n 
 
 def parameter_gradient(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n p"]:
     """df/dtheta at each point."""
+    if is_plain(field):
+        return plain_gradient(field, points)
     return vmap(grad(_at_one_point(field)), in_dims=(None, 0))(field.theta, points)
 
 
@@ -112,11 +115,13 @@ def adjoint(
 def parameter_gradient_and_slope(
     field: Field, points: Float[Tensor, "n d"]
 ) -> tuple[Float[Tensor, "n p"], Float[Tensor, "n d p"]]:
-    """df/dtheta and its derivatives in space d(df/dtheta)/dx, forward over reverse, one direction at a time."""
+    """df/dtheta and its derivatives in space d(df/dtheta)/dx."""
+    if is_plain(field):
+        return plain_gradient_and_slope(field, points)
     gradient = grad(_at_one_point(field))
 
     def one(theta: Tensor, point: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:
-        return jvp(lambda x: gradient(theta, x), (point,), (direction,))
+        return jvp(lambda x: gradient(theta, x), (point,), (direction,))  # type: ignore[return-value]
 
     along = vmap(vmap(one, in_dims=(None, None, 0)), in_dims=(None, 0, None))
     values, slopes = along(field.theta, points, torch.eye(field.dimension, dtype=points.dtype, device=points.device))

@@ -30,7 +30,7 @@ def smooth(
     step_size: float | None = None,
     method: Literal["implicit", "explicit"] = "implicit",
     constraints: Sequence[Functional] = (),
-    points: int = 3000,
+    points: int = 2000,
     damping: float | None = None,
     resolution: int = 48,
     track: Float[Tensor, "m d"] | None = None,

@@ -41,15 +41,17 @@ class SurfaceSample:
         return float(self.weights @ density)
 
 
-def surface_quadrature(field: Field, resolution: int = 64) -> SurfaceSample:
+def surface_quadrature(field: Field, resolution: int = 64, *, exact_points: bool = False) -> SurfaceSample:
     """A fourth-order quadrature of the surface.
 
     Args:
         field: In 3D, or in 2D for a curve.
         resolution: Cells along the longest side of the bounds.
+        exact_points: Whether the points are moved from the curved cells to the surface, a way of third order in the
+            cell. Left on the cells, with the cells' normals, they cost a third and give volumes ten times better.
 
     Returns:
-        Six points a triangle of the extracted mesh (three a segment in the plane), on the surface.
+        Six points a triangle of the extracted mesh (three a segment in the plane).
 
     Raises:
         SurfaceError: There is no surface in the bounds, it leaves them, or the gradient vanishes on it.
@@ -57,8 +59,10 @@ def surface_quadrature(field: Field, resolution: int = 64) -> SurfaceSample:
     corners, cells = marched_surface(field, resolution)
     reach = 2 * field.size / resolution
     nodes = _with_middle_nodes(field, corners, cells, reach)
-    points, weights = _curved_rule(nodes)
+    points, normals, weights = _curved_rule(nodes)
     keep = weights > 0
+    if not exact_points:
+        return SurfaceSample(points[keep], normals[keep], weights[keep])
     return _placed(field, points[keep], weights[keep], reach)
 
 
@@ -124,17 +128,21 @@ def _with_middle_nodes(field: Field, corners: Tensor, cells: Tensor, reach: floa
     return torch.cat([corners[cells], middle[inverse].view(-1, 3, 3)], dim=1)
 
 
-def _curved_rule(nodes: Tensor) -> tuple[Tensor, Tensor]:
-    """Quadrature points (m * q, D) and weights of quadratic cells given by their nodes."""
-    shape, slopes, weights = _segment_rule() if nodes.shape[2] == 2 else _triangle_rule()
+def _curved_rule(nodes: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Quadrature points (m * q, D), unit normals and weights of quadratic cells given by their nodes."""
+    plane = nodes.shape[2] == 2
+    shape, slopes, weights = _segment_rule() if plane else _triangle_rule()
     shape, slopes, weights = shape.to(nodes), slopes.to(nodes), weights.to(nodes)
     points = torch.einsum("qk,mkd->mqd", shape, nodes)
     tangents = torch.einsum("qkt,mkd->mqtd", slopes, nodes)
-    if nodes.shape[2] == 2:
-        content = tangents[:, :, 0].norm(dim=-1)
+    if plane:  # the inside is on the left, so the outward normal is the tangent turned right
+        along = tangents[:, :, 0]
+        across = torch.stack([along[..., 1], -along[..., 0]], dim=-1)
     else:
-        content = torch.linalg.cross(tangents[:, :, 0], tangents[:, :, 1]).norm(dim=-1)
-    return points.reshape(-1, nodes.shape[2]), (content * weights).reshape(-1)
+        across = torch.linalg.cross(tangents[:, :, 0], tangents[:, :, 1])
+    content = across.norm(dim=-1)
+    normals = across / content.clamp(min=torch.finfo(content.dtype).tiny)[..., None]
+    return points.flatten(0, 1), normals.flatten(0, 1), (content * weights).flatten()
 
 
 def _triangle_rule() -> tuple[Tensor, Tensor, Tensor]:

@@ -68,6 +68,12 @@ class Siren(nn.Module):
             h = torch.sin(self.frequency * layer(h))
         return self.layers[-1](h).squeeze(-1)
 
+    def activate(self, layer: int, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The sine after a hidden layer, and its first and second derivative (see implicit.plain)."""
+        frequency = self.first_frequency if layer == 0 else self.frequency
+        wave = torch.sin(frequency * z)
+        return wave, frequency * torch.cos(frequency * z), -(frequency**2) * wave
+
     def describe(self) -> dict[str, Any]:
         """How to make this network again."""
         first = self.layers[0]

@@ -57,9 +57,7 @@ def test_slope_rows_match_differences_of_the_normal_speed(wobbly):
     rows = gathered(space.normal_slope_rows(points)) @ x
     step = 1e-5
     for t in range(2):
-        ends = [
-            gathered(space.normal_rows(points + sign * step * axes[:, t])) @ x for sign in (1, -1)
-        ]
+        ends = [gathered(space.normal_rows(points + sign * step * axes[:, t])) @ x for sign in (1, -1)]
         torch.testing.assert_close(rows[:, t], (ends[0] - ends[1]) / (2 * step), rtol=1e-5, atol=1e-5)
 
 

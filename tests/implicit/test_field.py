@@ -83,7 +83,9 @@ def test_a_saved_field_comes_back_with_everything(tmp_path):
     again = load_field(tmp_path / "a.safetensors")
     x = torch.rand(9, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     assert torch.equal(field.value(x), again.value(x))
-    assert again.units == field.units and again.level == 0.1 and again.inside == "positive"
+    assert again.units == field.units
+    assert again.level == 0.1
+    assert again.inside == "positive"
 
 
 def test_an_analytic_field_comes_back(tmp_path):

@@ -12,8 +12,8 @@ from implicit import (
     Area,
     Ball,
     Field,
-    Handle,
     HalfSpace,
+    Handle,
     Volume,
     geometric_edit,
     sample_surface,
@@ -81,25 +81,24 @@ def test_volume_can_be_kept_while_a_bump_is_raised(wobbly):
 def test_two_functionals_can_be_kept_at_once(wobbly):
     sample = surface_quadrature(wobbly, 48)
     before = Volume().value(wobbly, sample), Area().value(wobbly, sample)
-    edit = geometric_edit(
-        wobbly, bump(wobbly, 0.03), rest="free", points=800, parts=2, constraints=(Volume(), Area())
-    )
+    edit = geometric_edit(wobbly, bump(wobbly, 0.03), rest="free", points=800, parts=2, constraints=(Volume(), Area()))
     assert edit.history[-1]["volume"] == pytest.approx(before[0], rel=1e-7)
     assert edit.history[-1]["area"] == pytest.approx(before[1], rel=1e-7)
 
 
 def test_tracked_points_end_on_the_edited_surface_and_follow_the_handle(wobbly):
     track = sample_surface(wobbly, 50, seed=9).points
-    edit = geometric_edit(wobbly, Handle(HalfSpace((0, 0, -2), (0, 0, 1)), (0.1, 0, 0)), parts=4, points=800, track=track)
+    edit = geometric_edit(
+        wobbly, Handle(HalfSpace((0, 0, -2), (0, 0, 1)), (0.1, 0, 0)), parts=4, points=800, track=track
+    )
     assert float(edit.field.value(edit.tracked).abs().max()) < 1e-10
     way = edit.tracked - track
-    torch.testing.assert_close(
-        way, torch.tensor([0.1, 0.0, 0.0], dtype=torch.float64).expand(50, 3), rtol=0, atol=0.01
-    )
+    torch.testing.assert_close(way, torch.tensor([0.1, 0.0, 0.0], dtype=torch.float64).expand(50, 3), rtol=0, atol=0.01)
 
 
 def test_a_scaled_field_gives_the_same_edit(wobbly):
     """Whether f is a distance or five times one must not matter."""
+
     class Times(nn.Module):
         def __init__(self, module):
             super().__init__()
@@ -120,7 +119,9 @@ def test_the_same_seed_gives_the_same_bits(wobbly):
 
 def test_progress_is_told_of_each_part(wobbly):
     seen = []
-    geometric_edit(wobbly, bump(wobbly), points=300, parts=3, progress=lambda step, steps, row: seen.append((step, steps)))
+    geometric_edit(
+        wobbly, bump(wobbly), points=300, parts=3, progress=lambda step, steps, row: seen.append((step, steps))
+    )
     assert seen == [(1, 3), (2, 3), (3, 3)]
 
 
@@ -134,7 +135,11 @@ def test_the_callers_field_stays_as_it_is(wobbly):
     ("handles", "options", "message"),
     [
         ([], {}, "handles is empty"),
-        ([Handle(Ball((5, 5, 5), 0.1), Along(0.1))], {}, "No point of the surface lies in the region of handles\\[0\\]"),
+        (
+            [Handle(Ball((5, 5, 5), 0.1), Along(0.1))],
+            {},
+            "No point of the surface lies in the region of handles\\[0\\]",
+        ),
         ([Handle(EVERYWHERE, (float("inf"), 0, 0))], {}, "not finite"),
         ([Handle(EVERYWHERE, (1.0, 0))], {}, "must be a vector of 3"),
         ([Handle(EVERYWHERE, Along(0.1))], {"parts": 0}, "parts must be at least 1"),

@@ -31,7 +31,9 @@ def test_regions_combine():
 def test_falloff_sinks_smoothly_to_zero():
     line = torch.stack([torch.linspace(0, 2, 201), torch.zeros(201), torch.zeros(201)], dim=1).double()
     w = Ball((0, 0, 0), 0.5, falloff=1.0)(line)
-    assert (w[:51] == 1).all() and (w[150:] == 0).all() and (w.diff() <= 0).all()
+    assert (w[:51] == 1).all()
+    assert (w[150:] == 0).all()
+    assert (w.diff() <= 0).all()
     assert float(w[100]) == pytest.approx(0.5)
     assert float(w.diff().diff().abs().max()) < 1e-3
 

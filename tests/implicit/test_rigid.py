@@ -3,7 +3,17 @@
 import pytest
 import torch
 
-from implicit import Ball, Handle, HalfSpace, RigidMotion, Volume, rigid_edit, sample_surface, shapes, surface_quadrature
+from implicit import (
+    Ball,
+    HalfSpace,
+    Handle,
+    RigidMotion,
+    Volume,
+    rigid_edit,
+    sample_surface,
+    shapes,
+    surface_quadrature,
+)
 from implicit.evolve import EditStatus
 from implicit.tangential import CosineFeatures
 
@@ -44,7 +54,10 @@ def test_handles_go_where_they_are_told_and_the_anchor_stays(spot, features):
 
 
 def test_volume_can_be_kept(wobbly):
-    handles = [Handle(HalfSpace((0, 0, -0.3), (0, 0, -1)), (0.0, 0, 0)), Handle(HalfSpace((0, 0, 0.3), (0, 0, 1)), (0, 0, 0.05))]
+    handles = [
+        Handle(HalfSpace((0, 0, -0.3), (0, 0, -1)), (0.0, 0, 0)),
+        Handle(HalfSpace((0, 0, 0.3), (0, 0, 1)), (0, 0, 0.05)),
+    ]
     before = Volume().value(wobbly, surface_quadrature(wobbly, 24))
     edit = rigid_edit(
         wobbly, handles, points=300, tangential=CosineFeatures(wobbly, waves=40), constraints=(Volume(),), resolution=24

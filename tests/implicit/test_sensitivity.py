@@ -83,9 +83,9 @@ def test_slopes_of_the_parameter_gradient_match_differences(any_field):
     step = 1e-5
     for axis in range(3):
         way = step * torch.eye(3, dtype=torch.float64)[axis]
-        measured = (
-            parameter_gradient(any_field, points + way) - parameter_gradient(any_field, points - way)
-        ) / (2 * step)
+        measured = (parameter_gradient(any_field, points + way) - parameter_gradient(any_field, points - way)) / (
+            2 * step
+        )
         torch.testing.assert_close(slopes[:, axis], measured, rtol=1e-5, atol=1e-6)
 
 
@@ -98,7 +98,7 @@ def test_only_named_parameters_are_in_the_basis():
 
 
 def test_points_of_another_precision_are_refused(wobbly):
-    with pytest.raises(ValueError, match="must be torch.float64.*but are torch.float32"):
+    with pytest.raises(ValueError, match=r"must be torch\.float64.*but are torch.float32"):
         basis(wobbly, torch.zeros(3, 3))
 
 

@@ -1,0 +1,103 @@
+"""Closed-form parameter derivatives of plain networks: linear layers with an elementwise activation between them.
+
+With z_l = W_l a_{l-1} + b_l and a_l = s_l(z_l), let d_l = df/dz_l, found backwards by d_l = s_l' (W_{l+1}^T d_{l+1}).
+Then
+
+    df/dW_l = d_l a_{l-1}^T,     df/db_l = d_l,
+
+and along a direction of space, with dots for derivatives (a_0' = the direction),
+
+    (df/dW_l)' = d_l' a_{l-1}^T + d_l a_{l-1}'^T,    d_l' = s_l' (W_{l+1}^T d_{l+1}') + s_l'' z_l' (W_{l+1}^T d_{l+1}).
+
+Everything but the outer products is small, so this costs little more than writing the result: against torch.func's
+forward over reverse, which repeats the whole pass for each direction, an eighth of the time for f and its slopes.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from implicit.field import Field
+
+
+@runtime_checkable
+class PlainNetwork(Protocol):
+    """A module whose only parameters are `layers.k.weight` and `layers.k.bias` of linear layers."""
+
+    def activate(self, layer: int, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The activation after a layer, and its first and second derivative."""
+
+
+def is_plain(field: Field) -> bool:
+    """Whether the closed form applies: a plain network all of whose parameters are edited."""
+    if not isinstance(field.module, PlainNetwork):
+        return False
+    names = [name for name, _ in field.module.named_parameters()]
+    return [block.name for block in field.layout] == names and len(names) % 2 == 0
+
+
+def plain_gradient(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n p"]:
+    """df/dtheta at each point."""
+    weights, inputs, slopes, _ = _forward(field, points)
+    rows = points.new_empty(len(points), len(field.theta))
+    upper = torch.full_like(points[:, :1], field.sign)
+    for k in reversed(range(len(weights))):
+        _write(rows, field, k, upper, inputs[k])
+        if k > 0:
+            upper = slopes[k - 1] * (upper @ weights[k])
+    return rows
+
+
+def plain_gradient_and_slope(
+    field: Field, points: Float[Tensor, "n d"]
+) -> tuple[Float[Tensor, "n p"], Float[Tensor, "n d p"]]:
+    """df/dtheta and its derivatives in space."""
+    n, dimension = points.shape
+    weights, inputs, slopes, bends = _forward(field, points)
+    # Derivatives of the inputs of each layer, (n, d, width), and of its linear output.
+    moved = [torch.eye(dimension, dtype=points.dtype, device=points.device).expand(n, -1, -1)]
+    outputs = []
+    for k, weight in enumerate(weights[:-1]):
+        outputs.append(moved[-1] @ weight.T)
+        moved.append(outputs[k] * slopes[k][:, None, :])
+    rows = points.new_empty(n, len(field.theta))
+    slope_rows = points.new_empty(n, dimension, len(field.theta))
+    upper = torch.full_like(points[:, :1], field.sign)
+    upper_moved = points.new_zeros(n, dimension, 1)
+    for k in reversed(range(len(weights))):
+        _write(rows, field, k, upper, inputs[k])
+        for axis in range(dimension):
+            part = slope_rows[:, axis]
+            _write(part, field, k, upper_moved[:, axis], inputs[k])
+            block = part[:, field.layout[2 * k].where].view(n, *field.layout[2 * k].shape)
+            block += upper[:, :, None] * moved[k][:, axis, None, :]
+        if k > 0:
+            back, back_moved = upper @ weights[k], upper_moved @ weights[k]
+            upper_moved = slopes[k - 1][:, None] * back_moved + (bends[k - 1] * back)[:, None] * outputs[k - 1]
+            upper = slopes[k - 1] * back
+    return rows, slope_rows
+
+
+def _forward(field: Field, points: Tensor) -> tuple[list[Tensor], list[Tensor], list[Tensor], list[Tensor]]:
+    """Weights and inputs of each layer, and first and second derivatives of the activation after it."""
+    assert isinstance(field.module, PlainNetwork)
+    blocks = [field.theta[block.where].view(block.shape) for block in field.layout]
+    weights, biases = blocks[::2], blocks[1::2]
+    inputs, slopes, bends = [points], [], []
+    for k in range(len(weights) - 1):
+        a, first, second = field.module.activate(k, inputs[-1] @ weights[k].T + biases[k])
+        inputs.append(a)
+        slopes.append(first)
+        bends.append(second)
+    return weights, inputs, slopes, bends
+
+
+def _write(rows: Tensor, field: Field, layer: int, upper: Tensor, inputs: Tensor) -> None:
+    """The outer products of one layer into its columns."""
+    weight, bias = field.layout[2 * layer], field.layout[2 * layer + 1]
+    torch.mul(upper[:, :, None], inputs[:, None, :], out=rows[:, weight.where].view(len(rows), *weight.shape))
+    rows[:, bias.where] = upper
