@@ -236,6 +236,7 @@ def _take(
         "residual": solution.residual,
         "objective": solution.objective,
         "condition": solution.condition,
+        "rank": solution.rank,
         "damping": solution.damping,
         "method": solution.method,
         "largest_motion": float(way.norm(dim=1).max()),

@@ -2,17 +2,23 @@
 
     minimise over x   sum_k w_k (a_k . x - y_k)^2  +  x^T diag(damping) x      subject to   C x = r
 
-The rows a_k arrive in blocks. With more rows than unknowns they are summed into the normal matrix; with fewer,
-they are kept and the dual system, one unknown a row, is solved instead. Constraints enter by their multipliers
-(the KKT system, eliminated blockwise), so they hold to rounding. This file knows no geometry.
+| method | what it does | good for |
+|---|---|---|
+| primal | Cholesky factor of the normal matrix, summed block by block | more rows than unknowns, up to some 8000 unknowns |
+| dual | Cholesky factor of the system with one unknown a row (Woodbury) | fewer rows than unknowns |
+| qr | orthogonal factor of the stacked rows | ill-conditioned systems with little damping |
+| cg | conjugate gradients with a randomised Nystrom preconditioner [Frangella, Tropp, Udell 2023] | anything large; needs only products |
+
+Constraints enter by their multipliers (the KKT system, eliminated blockwise), so they hold to rounding in each.
+This file knows no geometry.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -20,7 +26,11 @@ from jaxtyping import Float
 from scipy.linalg import blas
 from torch import Tensor
 
-Method = Literal["auto", "primal", "dual"]
+Method = Literal["auto", "primal", "dual", "qr", "cg"]
+METHODS = ("auto", "primal", "dual", "qr", "cg")
+
+# Above this many unknowns (and rows) the factor of a dense matrix costs more than conjugate gradients.
+DENSE_LIMIT = 8000
 
 
 class Rows(NamedTuple):
@@ -31,12 +41,22 @@ class Rows(NamedTuple):
     weights: Float[Tensor, " k"]
 
 
+class Operator(NamedTuple):
+    """Weighted equations known by their products alone."""
+
+    forward: Callable[[Tensor], Tensor]  # x (n,) to the left-hand sides (k,)
+    adjoint: Callable[[Tensor], Tensor]  # (k,) to (n,)
+    target: Float[Tensor, " k"]
+    weights: Float[Tensor, " k"]
+
+
 class SolveStatus(Enum):
     """How a solve ended; the value is the sentence a user reads."""
 
     SOLVED = "The least-squares problem was solved."
     DAMPED = "The system was too near to singular for the damping given; a larger damping was used."
     REDUNDANT_CONSTRAINTS = "Some constraints say the same or move nothing; they were met in the least-squares sense."
+    SLOW = "Conjugate gradients stopped at the iteration limit before their tolerance; raise the damping or the rank."
     FAILED = "The system holds NaN or infinite numbers; no step was computed. Check the field and the targets."
 
 
@@ -48,7 +68,8 @@ class Solution:
     residual: float  # root of the weighted mean square of a . x - y
     objective: float  # the weighted sum of squares, without the damping
     constraint_residual: float  # largest |C x - r|
-    condition: float  # estimate for the damped system, from the factor's diagonal
+    condition: float  # estimate for the damped system, from the factor's diagonal or the preconditioner
+    rank: float  # effective: trace of G (G + damping)^-1, the number of unknowns that the rows decide; estimated
     damping: float  # what was added to the diagonal, its largest entry
     method: str
     status: SolveStatus
@@ -66,34 +87,49 @@ class LeastSquares:
     Args:
         size: Number of unknowns.
         like: A tensor whose dtype and device the rows have.
-        method: "primal" sums the normal matrix (size x size), "dual" keeps the rows, "auto" takes the dual while
-            the rows are fewer than the unknowns.
+        method: See the table above. "auto" takes the dual while the rows are fewer than the unknowns, the primal up to
+            DENSE_LIMIT unknowns, and conjugate gradients beyond or where an equation is known by its products alone.
+        rank: Of the preconditioner of "cg"; 0 for none.
+        tolerance: Relative residual at which "cg" stops; None is 1e-12 in float64, 1e-5 in float32.
+        seed: Of the preconditioner and of the estimate of the rank.
     """
 
-    def __init__(self, size: int, like: Tensor, *, method: Method = "auto") -> None:
-        if method not in ("auto", "primal", "dual"):
-            raise ValueError(f'method must be "auto", "primal" or "dual", but is {method!r}.')
+    def __init__(
+        self,
+        size: int,
+        like: Tensor,
+        *,
+        method: Method = "auto",
+        rank: int = 200,
+        tolerance: float | None = None,
+        seed: int = 0,
+    ) -> None:
+        if method not in METHODS:
+            raise ValueError(f"method must be one of {', '.join(METHODS)}, but is {method!r}.")
         self.size = size
         self._method = method
         self._like = like
+        self._rank = min(rank, size)
+        self._tolerance = tolerance if tolerance is not None else (1e-12 if like.dtype == torch.float64 else 1e-5)
+        self._seed = seed
         self._kept: list[Rows] = []
         self._kept_rows = 0
+        self._operators: list[Operator] = []
         self._normal: Tensor | None = None
         self._right = torch.zeros(size, dtype=torch.float64, device=like.device)
         self._square = 0.0
         self._weight = 0.0
-        self._factor: _Primal | _Dual | None = None
+        self._factor: _Factor | None = None
 
     def add(self, rows: Rows) -> None:
         """Add a block of weighted equations."""
         matrix, target, weights = rows
-        self._right += (matrix.T @ (weights * target)).double()
-        self._square += float((weights * target * target).sum())
-        self._weight += float(weights.sum())
+        self._count(matrix.T @ (weights * target), target, weights)
         if self._normal is None:
             self._kept.append(rows)
             self._kept_rows += len(target)
-            if self._method == "dual" or (self._method == "auto" and self._kept_rows < self.size):
+            few = self._kept_rows < self.size or self.size > DENSE_LIMIT
+            if self._method in ("dual", "qr", "cg") or (self._method == "auto" and few):
                 return
             # Only its lower triangle is kept.
             self._normal = torch.zeros(self.size, self.size, dtype=self._like.dtype, device=self._like.device)
@@ -103,23 +139,49 @@ class LeastSquares:
         else:
             self._accumulate(rows)
 
+    def add_operator(self, operator: Operator) -> None:
+        """Add equations known by their products; only conjugate gradients can solve them."""
+        if self._method not in ("auto", "cg"):
+            raise ValueError(f'Equations known by their products need method "cg" or "auto", not {self._method!r}.')
+        if self._normal is not None:
+            raise ValueError("Add equations known by their products before those with a matrix.")
+        self._method = "cg"
+        self._operators.append(operator)
+        self._count(operator.adjoint(operator.weights * operator.target), operator.target, operator.weights)
+
+    def _count(self, right: Tensor, target: Tensor, weights: Tensor) -> None:
+        self._right += right.double()
+        self._square += float((weights * target * target).sum())
+        self._weight += float(weights.sum())
+
     def _accumulate(self, rows: Rows) -> None:
         assert self._normal is not None
         add_gram(self._normal, rows.matrix * rows.weights.sqrt()[:, None])
 
     def trace(self) -> float:
         """Trace of the normal matrix, the scale that a relative damping refers to."""
-        if self._normal is not None:
-            return float(self._normal.diagonal().sum())
-        return float(sum((rows.weights[:, None] * rows.matrix**2).sum() for rows in self._kept))
+        if self._operators:
+            # Hutchinson's estimate: the mean of z^T G z over random signs z.
+            z = _signs(self.size, 4, self._seed).to(self._like)
+            return float(sum(v @ self._apply(v) for v in z.T) / z.shape[1])
+        return float(self.diagonal().sum())
 
     def diagonal(self) -> Float[Tensor, " n"]:
-        """Diagonal of the normal matrix."""
+        """Diagonal of the normal matrix, of the equations that have a matrix."""
         if self._normal is not None:
             return self._normal.diagonal().double()
         total = torch.zeros_like(self._right)
         for rows in self._kept:
             total += (rows.weights[:, None] * rows.matrix**2).sum(dim=0).double()
+        return total
+
+    def _apply(self, x: Tensor) -> Tensor:
+        """The normal matrix times x."""
+        total = torch.zeros_like(x)
+        for rows in self._kept:
+            total += rows.matrix.T @ (rows.weights * (rows.matrix @ x))
+        for operator in self._operators:
+            total += operator.adjoint(operator.weights * operator.forward(x))
         return total
 
     def solve(
@@ -136,11 +198,11 @@ class LeastSquares:
             constraints: C and r of the equations C x = r that must hold.
             relative_damping: Penalty in units of the trace of the normal matrix; None is RELATIVE_DAMPING.
         """
+        scale = self.trace()
         if damping is None:
-            relative = RELATIVE_DAMPING[self._like.dtype] if relative_damping is None else relative_damping
-            damping = relative * self.trace()
+            damping = (RELATIVE_DAMPING[self._like.dtype] if relative_damping is None else relative_damping) * scale
         ridge = torch.as_tensor(damping, dtype=torch.float64, device=self._like.device).expand(self.size)
-        if not (torch.isfinite(self._right).all() and torch.isfinite(self.diagonal()).all()):
+        if not (torch.isfinite(self._right).all() and np.isfinite(scale)):
             return self._failed(ridge)
         if bool((ridge < 0).any()):
             raise ValueError(f"damping must not be negative, but is {float(ridge.min()):.3g}.")
@@ -150,7 +212,7 @@ class LeastSquares:
             if factor is not None:
                 break
             # Rounding made the matrix indefinite: the least damping that the precision can carry, then more.
-            ridge = torch.maximum(10 * ridge, torch.full_like(ridge, 1e-14 * self.trace() + 1e-300))
+            ridge = torch.maximum(10 * ridge, torch.full_like(ridge, 1e-14 * scale + 1e-300))
             status = SolveStatus.DAMPED
         else:
             return self._failed(ridge)
@@ -167,6 +229,8 @@ class LeastSquares:
             status = SolveStatus.REDUNDANT_CONSTRAINTS if redundant else status
         if not bool(torch.isfinite(x).all()):
             return self._failed(ridge)
+        if isinstance(factor, _Cg) and not factor.converged:
+            status = SolveStatus.SLOW
         objective = self._objective(x)
         return Solution(
             x=x.to(self._like.dtype),
@@ -174,6 +238,7 @@ class LeastSquares:
             objective=objective,
             constraint_residual=gap,
             condition=factor.condition,
+            rank=factor.rank(ridge, self._seed),
             damping=float(ridge.max()),
             method=factor.name,
             status=status,
@@ -185,14 +250,26 @@ class LeastSquares:
             raise RuntimeError("correction needs a solved problem: call solve first.")
         return _to_meet(self._factor, C.double(), r.double())[0].to(self._like.dtype)
 
-    def _factorise(self, ridge: Tensor) -> _Primal | _Dual | None:
+    def _factorise(self, ridge: Tensor) -> _Factor | None:
         if self._normal is not None:
             return _Primal.of(self._normal, ridge)
+        method = self._method
+        if method == "auto":
+            method = "dual" if self._kept_rows <= DENSE_LIMIT else "cg"
+        if method == "cg":
+            if not bool((ridge > 0).all()):
+                return None  # the scaling by the damping needs it positive; the caller raises it
+            return _Cg(self._apply, ridge, self._like, self._rank, self._tolerance, self._seed)
+        if method == "qr":
+            return _Qr.of(self._kept, ridge)
         return _Dual.of(self._kept, ridge, self._right)
 
     def _objective(self, x: Tensor) -> float:
         if self._normal is None:
-            return float(sum((r.weights * (r.matrix @ x.to(r.matrix) - r.target) ** 2).sum() for r in self._kept))
+            v = x.to(self._like)
+            misses = [(r.weights, r.matrix @ v - r.target) for r in self._kept]
+            misses += [(o.weights, o.forward(v) - o.target) for o in self._operators]
+            return float(sum((weights * miss**2).sum() for weights, miss in misses))
         v = x.to(self._normal)
         half = self._normal.tril() @ v
         curved = float(2 * (v @ half) - v @ (self._normal.diagonal() * v))
@@ -202,7 +279,7 @@ class LeastSquares:
     def _failed(self, ridge: Tensor) -> Solution:
         nan = float("nan")
         zero = torch.zeros(self.size, dtype=self._like.dtype, device=self._like.device)
-        return Solution(zero, nan, nan, nan, nan, float(ridge.max()), "none", SolveStatus.FAILED)
+        return Solution(zero, nan, nan, nan, nan, nan, float(ridge.max()), "none", SolveStatus.FAILED)
 
 
 def least_squares(
@@ -237,7 +314,42 @@ def add_gram(total: Float[Tensor, "n n"], rows: Float[Tensor, "k n"]) -> None:
         out[...] = result
 
 
-class _Primal:
+def _signs(n: int, count: int, seed: int) -> Tensor:
+    """Random signs (n, count)."""
+    generator = torch.Generator().manual_seed(seed)
+    return torch.randint(0, 2, (n, count), generator=generator).double() * 2 - 1
+
+
+class _Factor(Protocol):
+    """The inverse of the damped normal matrix H = A^T W A + D."""
+
+    name: str
+    condition: float
+
+    def inverse(self, right: Tensor) -> Tensor:
+        """H^-1 times the columns (n, m), in float64."""
+
+    def rank(self, ridge: Tensor, seed: int) -> float:
+        """trace of (H - D) H^-1."""
+
+
+class _Direct:
+    """A factor whose inverse is cheap enough to estimate the rank with it."""
+
+    def inverse(self, right: Tensor) -> Tensor:
+        raise TypeError("Each factor has its own inverse.")
+
+    def rank(self, ridge: Tensor, seed: int) -> float:
+        n = len(ridge)
+        if n <= 256:
+            lost = float((ridge * self.inverse(torch.eye(n).to(ridge)).diagonal()).sum())
+        else:  # Hutchinson's estimate; its error is a few times the root of the rank over that of the probes
+            z = _signs(n, 8, seed).to(ridge)
+            lost = float((z * (ridge[:, None] * self.inverse(z))).sum() / z.shape[1])
+        return min(float(n), max(0.0, n - lost))
+
+
+class _Primal(_Direct):
     """Cholesky factor of the damped normal matrix, in float64 whatever the rows' precision."""
 
     name = "primal"
@@ -258,7 +370,29 @@ class _Primal:
         return torch.cholesky_solve(right, self._factor)
 
 
-class _Dual:
+class _Qr(_Direct):
+    """Triangular factor of the rows with the roots of the damping below: the condition is not squared."""
+
+    name = "qr"
+
+    def __init__(self, factor: Tensor) -> None:
+        self._factor = factor
+        diagonal = factor.diagonal().abs()
+        self.condition = float((diagonal.max() / diagonal.min()) ** 2)
+
+    @classmethod
+    def of(cls, kept: list[Rows], ridge: Tensor) -> _Qr | None:
+        matrix = torch.cat([_rooted(kept, len(ridge), ridge), torch.diag(ridge.sqrt())])
+        factor = torch.linalg.qr(matrix, mode="r")[1]
+        diagonal = factor.diagonal().abs()
+        return cls(factor) if bool(diagonal.min() > 1e-15 * diagonal.max()) else None
+
+    def inverse(self, right: Tensor) -> Tensor:
+        inner = torch.linalg.solve_triangular(self._factor.T, right, upper=False)
+        return torch.linalg.solve_triangular(self._factor, inner, upper=True)
+
+
+class _Dual(_Direct):
     """The inverse of A^T W A + D by way of A D^-1 A^T + W^-1, one unknown a row (Woodbury)."""
 
     name = "dual"
@@ -272,9 +406,7 @@ class _Dual:
     def of(cls, kept: list[Rows], ridge: Tensor, like: Tensor) -> _Dual | None:
         if not bool((ridge > 0).all()):
             return None  # without damping the dual has no meaning; the caller raises it
-        # Rows of weight zero say nothing; scaling by the root of the weight makes W the identity.
-        blocks = [rows.matrix.double() * rows.weights.double().sqrt()[:, None] for rows in kept]
-        matrix = torch.cat(blocks) if blocks else like.new_zeros(0, len(like))
+        matrix = _rooted(kept, len(like), like)
         gram = (matrix / ridge) @ matrix.T
         gram.diagonal().add_(1.0)
         factor, info = torch.linalg.cholesky_ex(gram)
@@ -286,7 +418,88 @@ class _Dual:
         return scaled - (self._matrix.T @ inner) / self._ridge[:, None]
 
 
-def _to_meet(factor: _Primal | _Dual, C: Tensor, gap: Tensor) -> tuple[Tensor, bool]:
+class _Cg:
+    """Conjugate gradients on D^-1/2 A^T W A D^-1/2 + I, preconditioned by a low-rank approximation of its first term.
+
+    The approximation is Nystrom's from products with random vectors; it takes the large eigenvalues out of the
+    spectrum, which for the sensitivities of a network are few and all but fill it.
+    """
+
+    name = "cg"
+    iterations = 1000
+
+    def __init__(
+        self, apply: Callable[[Tensor], Tensor], ridge: Tensor, like: Tensor, rank: int, tolerance: float, seed: int
+    ) -> None:
+        self._apply, self._like, self._tolerance = apply, like, tolerance
+        self._root = ridge.sqrt()
+        self.converged = True
+        self.steps = 0
+        n = len(ridge)
+        self._basis, self._values = self._nystrom(n, rank, seed) if rank > 0 else (ridge.new_zeros(n, 0), ridge[:0])
+        largest = float(self._values[0]) if len(self._values) else float("nan")
+        self.condition = largest + 1
+
+    def _scaled(self, x: Tensor) -> Tensor:
+        """D^-1/2 A^T W A D^-1/2 x."""
+        return self._apply((x / self._root).to(self._like)).double() / self._root
+
+    def _nystrom(self, n: int, rank: int, seed: int) -> tuple[Tensor, Tensor]:
+        generator = torch.Generator().manual_seed(seed)
+        test = torch.randn(n, rank, generator=generator, dtype=torch.float64).to(self._root.device)
+        test = torch.linalg.qr(test)[0]
+        image = torch.stack([self._scaled(v) for v in test.T], dim=1)
+        shift = float(torch.finfo(self._like.dtype).eps * image.norm())
+        image = image + shift * test
+        inner = test.T @ image
+        factor, info = torch.linalg.cholesky_ex((inner + inner.T) / 2)
+        if int(info) != 0:
+            return test[:, :0], self._root[:0]
+        half = torch.linalg.solve_triangular(factor, image.T, upper=False).T
+        basis, values, _ = torch.linalg.svd(half, full_matrices=False)
+        return basis, (values**2 - shift).clamp(min=0)
+
+    def _precondition(self, x: Tensor) -> Tensor:
+        if not len(self._values):
+            return x
+        part = self._basis.T @ x
+        floor = self._values[-1] + 1
+        return x + self._basis @ ((floor / (self._values + 1) - 1) * part)
+
+    def inverse(self, right: Tensor) -> Tensor:
+        columns = [self._one(column / self._root) / self._root for column in right.T]
+        return torch.stack(columns, dim=1)
+
+    def _one(self, right: Tensor) -> Tensor:
+        x = torch.zeros_like(right)
+        residual = right.clone()
+        goal = self._tolerance * float(right.norm())
+        z = self._precondition(residual)
+        direction, slope = z.clone(), float(residual @ z)
+        for self.steps in range(1, self.iterations + 1):
+            if float(residual.norm()) <= goal:
+                return x
+            image = self._scaled(direction) + direction
+            length = slope / float(direction @ image)
+            x = x + length * direction
+            residual = residual - length * image
+            z = self._precondition(residual)
+            new = float(residual @ z)
+            direction, slope = z + (new / slope) * direction, new
+        self.converged = self.converged and float(residual.norm()) <= 1e3 * goal
+        return x
+
+    def rank(self, ridge: Tensor, seed: int) -> float:
+        return float((self._values / (self._values + 1)).sum())
+
+
+def _rooted(kept: list[Rows], columns: int, like: Tensor) -> Tensor:
+    """The rows in float64, scaled by the roots of their weights so that W is the identity."""
+    blocks = [rows.matrix.double() * rows.weights.double().sqrt()[:, None] for rows in kept]
+    return torch.cat(blocks) if blocks else like.new_zeros(0, columns)
+
+
+def _to_meet(factor: _Factor, C: Tensor, gap: Tensor) -> tuple[Tensor, bool]:
     """The cheapest x with C x = gap in the metric of the factor, and whether C was rank deficient."""
     if len(gap) == 0:
         return C.new_zeros(C.shape[1]), False
