@@ -4,10 +4,10 @@
 
 | method | what it does | good for |
 |---|---|---|
-| primal | Cholesky factor of the normal matrix, summed block by block | more rows than unknowns, up to some 8000 unknowns |
+| primal | Cholesky factor of the normal matrix, in blocks | more rows than unknowns, up to some 8000 of these |
 | dual | Cholesky factor of the system with one unknown a row (Woodbury) | fewer rows than unknowns |
 | qr | orthogonal factor of the stacked rows | ill-conditioned systems with little damping |
-| cg | conjugate gradients with a randomised Nystrom preconditioner [Frangella, Tropp, Udell 2023] | anything large; needs only products |
+| cg | conjugate gradients, preconditioned by a random sketch (Nystrom) | anything large; needs only products |
 
 Constraints enter by their multipliers (the KKT system, eliminated blockwise), so they hold to rounding in each.
 This file knows no geometry.
@@ -421,7 +421,8 @@ class _Dual(_Direct):
 class _Cg:
     """Conjugate gradients on D^-1/2 A^T W A D^-1/2 + I, preconditioned by a low-rank approximation of its first term.
 
-    The approximation is Nystrom's from products with random vectors; it takes the large eigenvalues out of the
+    The approximation is Nystrom's from products with random vectors [Frangella, Tropp, Udell, SIAM J. Matrix Anal.
+    Appl. 2023, algorithm 2.1]; it takes the large eigenvalues out of the
     spectrum, which for the sensitivities of a network are few and all but fill it.
     """
 
@@ -434,7 +435,6 @@ class _Cg:
         self._apply, self._like, self._tolerance = apply, like, tolerance
         self._root = ridge.sqrt()
         self.converged = True
-        self.steps = 0
         n = len(ridge)
         self._basis, self._values = self._nystrom(n, rank, seed) if rank > 0 else (ridge.new_zeros(n, 0), ridge[:0])
         largest = float(self._values[0]) if len(self._values) else float("nan")
@@ -476,7 +476,7 @@ class _Cg:
         goal = self._tolerance * float(right.norm())
         z = self._precondition(residual)
         direction, slope = z.clone(), float(residual @ z)
-        for self.steps in range(1, self.iterations + 1):
+        for _ in range(self.iterations):
             if float(residual.norm()) <= goal:
                 return x
             image = self._scaled(direction) + direction

@@ -1,0 +1,1 @@
+"""Cost and accuracy side by side, for asv: `time_`, `peakmem_` with an empty baseline, and `track_` for errors."""
