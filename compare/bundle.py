@@ -23,7 +23,7 @@ from implicit.files import replace_file
 # mesh, whose vertices lie on the surface. With this many cells along the cube it is 2e-5 off between them.
 RESOLUTION = 192
 FROM_FORMULA = ("cactus", "bracket")
-STEPS = 6000  # twice the default of a fit: it is done once
+STEPS = 12_000  # three times the default of a fit: it is done once
 
 
 def bundle(name: str, meshes: Path | None = None, *, steps: int = STEPS) -> tuple[Field, FitReport]:

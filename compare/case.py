@@ -43,7 +43,7 @@ MOTIONS = {
 # not: on the cactus, a pull of 15 % in one step misses its target by 16 %, in five by 0.2 %.
 FULL: dict[Operation, dict[str, Any]] = {
     "geometric": {},
-    "smooth": {"steps": 20, "step_size": 1e-3},
+    "smooth": {"steps": 8, "step_size": 1e-3, "implicit": {"points": 2000}},
     "rigid": {"implicit": {"steps": 5, "points": 1000}},
 }
 QUICK: dict[Operation, dict[str, Any]] = {
@@ -119,11 +119,13 @@ class Case:
             raise ValueError(f"operation must be one of {', '.join(OPERATIONS)}, but is {self.operation!r}.")
         if (self.operation == "smooth") == bool(self.handles):
             raise ValueError(
-                f"A {self.operation} case {'takes no' if self.handles else 'needs'} handles, but has {len(self.handles)}."
+                f"A {self.operation} case {'takes no' if self.handles else 'needs'} handles, "
+                f"but has {len(self.handles)}."
             )
         if self.vertices < 100 or self.resolution < 8:
             raise ValueError(
-                f"A case needs at least 100 vertices and a resolution of 8, but has {self.vertices} and {self.resolution}."
+                "A case needs at least 100 vertices and a resolution of 8, "
+                f"but has {self.vertices} and {self.resolution}."
             )
 
     @cached_property

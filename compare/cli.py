@@ -66,6 +66,8 @@ class Fit:
     """Where the field goes: a file ending in .safetensors that is not there yet."""
     width: int = 32
     """Sines in each of the three hidden layers."""
+    steps: int = 3000
+    """Of the training."""
     seed: int = 0
     """Of the samples and the first weights."""
     quiet: bool = False
@@ -146,7 +148,7 @@ def run(command: Run) -> int:
     with _bars(command.quiet) as bars:
         total = _task(bars, "all", len(command.shapes) * len(command.operations))
         for name in command.shapes:
-            current = _task(bars, name, None)
+            current = _task(bars, Path(name).stem, None)
             tell = _teller(bars, current)
             try:
                 # Any case of the shape: what decides the subject is the same for all, and this one needs no handles.
@@ -164,7 +166,7 @@ def run(command: Run) -> int:
                 **settings,
             )
             records += run_cases(cases, folder=folder, progress=tell, on_record=lambda _: _advance(bars, total))
-            _finish(bars, current, name)
+            _finish(bars, current)
     page = write_report(records, folder / "report.html")
     if command.json:
         import json
@@ -215,8 +217,8 @@ def fit(command: Fit) -> int:
     _require_folder_for(command.output)
     if command.mesh.suffix.lower() not in MESH_SUFFIXES:
         raise InputError(f"A mesh is a file ending in {', '.join(MESH_SUFFIXES)}, but got {command.mesh}.")
-    if command.width < 1:
-        raise InputError(f"--width must be at least 1, but is {command.width}.")
+    if command.width < 1 or command.steps < 1:
+        raise InputError(f"--width and --steps must be at least 1, but are {command.width} and {command.steps}.")
     say = _silent if command.quiet else _printer(False)
     for sentence in check_shape(str(command.mesh)):
         say(sentence)
@@ -232,6 +234,7 @@ def fit(command: Fit) -> int:
             V,
             F,
             width=command.width,
+            steps=command.steps,
             seed=command.seed,
             progress=lambda step, steps, _: tell(step, steps, "fitting a field"),
         )
@@ -332,7 +335,7 @@ def _print_table(records: list[Record], said: list[str]) -> None:
     from compare.table import COLUMNS, lines, text
 
     columns = [(k, column) for k, column in enumerate(COLUMNS) if column.brief]
-    table = Table("shape", "edit", "by", box=box.SIMPLE_HEAD, padding=(0, 1))
+    table = Table("shape", "edit", "by", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for _, column in columns:
         table.add_column(column.title, justify="right", no_wrap=True)
     for record in records:
@@ -382,6 +385,6 @@ def _advance(bars: Bars | None, task: Any) -> None:
         bars.advance(task)
 
 
-def _finish(bars: Bars | None, task: Any, name: str) -> None:
+def _finish(bars: Bars | None, task: Any) -> None:
     if bars is not None:
         bars.update(task, completed=1, total=1, what="done")

@@ -145,8 +145,8 @@ def _error_colours(view: View, limit: float) -> Float[ndarray, "m 3"]:
 def _draw_motion(axes: Axes, view: View, record: Record, camera: Camera) -> None:
     """An arrow for each handle that is moved by a vector."""
     screen = camera.axes()[:2]
-    for number, handle in enumerate(record.case.handles, start=1):
-        held = view.V[view.values == number]
+    for k, handle in enumerate(record.case.handles, start=1):
+        held = view.V[view.values == k]
         if handle.motion["kind"] == "vector" and not handle.holds and len(held):
             start = screen @ held.mean(axis=0)
             end = start + screen @ np.asarray(handle.motion["vector"]) * float(record.subject["scale"])

@@ -36,15 +36,19 @@ ABOUT_SURFACE = ((50_000, 0.005), (50_000, 0.02), (50_000, 0.06))
 IN_CUBE = 40_000
 CUBE_REACH = 1.1
 
-RESOLUTION = 128  # cells along the bounds when the field's surface is extracted for the report
+# Cells along the bounds: of the extracted mesh that distances, genus and bodies are measured on, and of the quadrature
+# that volume and area come from. Flat triangles inscribed in the surface would miss 0.4 % of the volume of a thin limb
+# at 128 cells; the quadrature, whose triangles are curved, misses less than 0.01 %.
+RESOLUTION = 192
+QUADRATURE = 128
 
 
 @dataclass(frozen=True)
 class FitReport:
     """How well a field fits its mesh. Lengths are in diagonals of the mesh's box unless they say otherwise.
 
-    The field's surface is the mesh that extract_mesh makes with 128 cells along the bounds. A number that could not be
-    measured, because the field has no closed surface in its bounds, is nan, and None in `to_dict`.
+    A number that could not be measured, because the field has no closed surface in its bounds, is nan, and None in
+    `to_dict`.
     """
 
     good: bool  # whether the stated quality is met
@@ -89,7 +93,7 @@ def fit_mesh(
     width: int = 32,
     depth: int = 3,
     activation: Literal["sine", "softplus", "relu"] = "sine",
-    steps: int = 3000,
+    steps: int = 4000,
     seconds: float | None = None,
     seed: int = 0,
     bodies: Literal["keep", "largest", "refuse"] = "keep",
@@ -239,30 +243,36 @@ def _compare_surfaces(
 ) -> _Surfaces:
     try:
         V2, F2 = implicit.extract_mesh(field, RESOLUTION)
+        quadrature = implicit.surface_quadrature(field, QUADRATURE)
     except implicit.SurfaceError as error:
         return _Surfaces([f"the field has no closed surface ({error})"])
-    distance = meshref.surface_distance(V2, F2, V, F, samples, seed)
-    found = _Surfaces([], distance.chamfer, distance.hausdorff, components=meshref.component_count(V2, F2))
-    found.area_error = meshref.area(V2, F2) / meshref.area(V, F) - 1
     diagonal = float(np.linalg.norm(V.max(axis=0) - V.min(axis=0)))
+    distance = meshref.surface_distance(V2, F2, V, F, samples, seed)
+    # The divergence theorem: 3 volume = integral of x . n.
+    enclosed = quadrature.integrate((quadrature.points * quadrature.normals).sum(dim=1)) / 3
+    found = _Surfaces(
+        faults=[],
+        mean=distance.chamfer,
+        largest=distance.hausdorff,
+        volume_error=enclosed / meshref.volume(V, F) - 1,
+        area_error=float(quadrature.weights.sum()) / meshref.area(V, F) - 1,
+        components=meshref.component_count(V2, F2),
+    )
     if not found.mean <= GOOD_DISTANCE * diagonal:
         found.faults.append(
             f"the mean distance is {found.mean / diagonal:.2%} of the diagonal, more than {GOOD_DISTANCE:.1%}"
         )
-    components = meshref.component_count(V, F)
+    if not abs(found.volume_error) <= GOOD_VOLUME:
+        found.faults.append(f"the volume is off by {found.volume_error:+.1%}, more than {GOOD_VOLUME:.0%}")
+    components, genus = meshref.component_count(V, F), meshref.genus(V, F)
     if found.components != components:
         found.faults.append(f"the field has {found.components} separate surfaces, the mesh {components}")
     try:
         found.genus = meshref.genus(V2, F2)
-        found.volume_error = meshref.volume(V2, F2) / meshref.volume(V, F) - 1
+        if found.genus != genus:
+            found.faults.append(f"the field has genus {found.genus}, the mesh {genus}")
     except meshref.MeshError as error:  # two sheets within a cell of each other can share an edge
-        found.faults.append(f"volume and genus could not be measured ({error})")
-        return found
-    if not abs(found.volume_error) <= GOOD_VOLUME:
-        found.faults.append(f"the volume is off by {found.volume_error:+.1%}, more than {GOOD_VOLUME:.0%}")
-    genus = meshref.genus(V, F)
-    if found.genus != genus:
-        found.faults.append(f"the field has genus {found.genus}, the mesh {genus}")
+        found.faults.append(f"the genus could not be measured ({error})")
     return found
 
 

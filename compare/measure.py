@@ -67,7 +67,7 @@ def measure(
     """All numbers of one side."""
     V, F, D, scale = subject.V, subject.F, outcome.displacement, subject.scale
     moved = V + D
-    row: dict[str, Any] = {"method": outcome.method, "status": outcome.status}
+    row: dict[str, Any] = {"method": outcome.method, "status": outcome.status, "complete": outcome.complete}
     for name, form in FORMS.items():
         row[name] = meshref.killing_energy(V, F, D, form=form) * scale**2
     before, after = meshref.volume(V, F), _volume(moved, F)

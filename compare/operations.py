@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field as default
+from threading import Lock
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,10 @@ from compare.subject import Progress, Subject
 
 if TYPE_CHECKING:
     from implicit import Edit, Field
+
+# Forward-mode derivatives in torch keep their state for the whole process: two threads that take them at once fail with
+# "an invalid index", so threads take turns. Processes need not.
+_FORWARD_MODE = Lock()
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +56,7 @@ class Outcome:
     displacement: Float[ndarray, "n 3"]  # of the vertices of the common mesh, in the field's units
     method: str  # which it was, and its settings, for a reader
     status: str  # how it ended, a sentence
+    complete: bool  # whether it did all that was asked
     seconds: float
     field: Field | None = None  # the edited field, of the neural editor
     details: Mapping[str, Any] = default(default_factory=dict)
@@ -94,21 +100,23 @@ def edit_field(case: Case, subject: Subject, progress: Progress | None = None) -
     common: dict[str, Any] = {
         "track": torch.from_numpy(subject.V),
         "progress": _teller(progress, f"{case.operation}, neural field"),
+        "seed": case.seed,
     }
     handles = [spec.build() for spec in case.handles]
 
     def run() -> Edit:
         if case.operation == "geometric":
-            return implicit.geometric_edit(subject.field, handles, rest="fixed", seed=case.seed, **common, **options)
+            return implicit.geometric_edit(subject.field, handles, rest="fixed", **common, **options)
         if case.operation == "smooth":
             volume = (implicit.Volume(),)
             settings = {"steps": case.parameters["steps"], "step_size": case.parameters["step_size"]}
             return implicit.smooth(subject.field, constraints=volume, **settings, **common, **options)
         return implicit.rigid_edit(subject.field, handles, **common, **options)
 
-    start = perf_counter()
-    edit = run()
-    seconds = perf_counter() - start
+    with _FORWARD_MODE:
+        start = perf_counter()
+        edit = run()
+        seconds = perf_counter() - start
     if edit.tracked is None:
         raise RuntimeError("The edit did not carry the vertices of the common mesh along.")
     displacement = edit.tracked.double().numpy() - subject.V
@@ -121,7 +129,8 @@ def edit_field(case: Case, subject: Subject, progress: Progress | None = None) -
         error = edit.error_field()
         error = error[torch.isfinite(error)]
         details |= {"error_field_rms": float(error.square().mean().sqrt()), "error_field_max": float(error.abs().max())}
-    return Outcome(displacement, method[case.operation], edit.status.value, seconds, edit.field, details)
+    done = edit.status in (implicit.EditStatus.DONE, implicit.EditStatus.REACHED)
+    return Outcome(displacement, method[case.operation], edit.status.value, done, seconds, edit.field, details)
 
 
 def edit_mesh(case: Case, subject: Subject, wanted: Wanted, progress: Progress | None = None) -> Outcome:
@@ -130,7 +139,7 @@ def edit_mesh(case: Case, subject: Subject, wanted: Wanted, progress: Progress |
     tell = _teller(progress, f"{case.operation}, mesh")
     start = perf_counter()
     if case.operation == "geometric":
-        return Outcome(wanted.displacement, "vertices moved as wanted", "Every vertex is moved as wanted.", 0.0)
+        return Outcome(wanted.displacement, "vertices moved as wanted", "Every vertex is moved as wanted.", True, 0.0)
     if case.operation == "smooth":
         options = {"method": "conformalised", "preserve_volume": "rescale", **options}
         flow = meshref.mean_curvature_flow(
@@ -143,13 +152,13 @@ def edit_mesh(case: Case, subject: Subject, wanted: Wanted, progress: Progress |
         )
         seconds = perf_counter() - start
         method = f"{options['method']} curvature flow, volume kept"
-        return Outcome(flow.V - subject.V, method, flow.status.value, seconds, None, {"steps": flow.steps_taken})
+        done, details = flow.status is meshref.FlowStatus.FINISHED, {"steps": flow.steps_taken}
+        return Outcome(flow.V - subject.V, method, flow.status.value, done, seconds, None, details)
     handles = np.flatnonzero(wanted.at)
     result = meshref.killing(subject.V, subject.F, handles, wanted.displacement[handles], **options)
-    seconds = perf_counter() - start
-    return Outcome(
-        result.displacement, "Killing least squares", result.status.value, seconds, None, dict(result.seconds)
-    )
+    seconds, done = perf_counter() - start, result.status is meshref.KillingStatus.SOLVED
+    method = "Killing least squares"
+    return Outcome(result.displacement, method, result.status.value, done, seconds, None, dict(result.seconds))
 
 
 def edit_mesh_by_arap(case: Case, subject: Subject, wanted: Wanted) -> Outcome:
@@ -157,8 +166,9 @@ def edit_mesh_by_arap(case: Case, subject: Subject, wanted: Wanted) -> Outcome:
     handles = np.flatnonzero(wanted.at)
     start = perf_counter()
     result = meshref.arap(subject.V, subject.F, handles, subject.V[handles] + wanted.displacement[handles])
-    seconds = perf_counter() - start
-    return Outcome(result.V - subject.V, "ARAP", result.status.value, seconds, None, {"iterations": result.iterations})
+    seconds, done = perf_counter() - start, result.status is meshref.ArapStatus.CONVERGED
+    details = {"iterations": result.iterations}
+    return Outcome(result.V - subject.V, "ARAP", result.status.value, done, seconds, None, details)
 
 
 def _teller(progress: Progress | None, what: str) -> Callable[[int, int, Mapping[str, Any]], None]:

@@ -22,6 +22,7 @@ from compare.measure import ERROR_MEANS, between, error_field, measure, measure_
 from compare.operations import Outcome, Wanted, edit_field, edit_mesh, edit_mesh_by_arap, wanted_motion
 from compare.records import Artefact, Record
 from compare.subject import Progress, Subject, describe, prepare_subject
+from compare.table import SIDES
 
 
 def run_case(case: Case, *, folder: str | PathLike[str] | None = None, progress: Progress | None = None) -> Record:
@@ -70,7 +71,7 @@ def run_case(case: Case, *, folder: str | PathLike[str] | None = None, progress:
         start = perf_counter()
         artefacts = _write(case, subject, wanted, sides, errors, result, folder)
         seconds["files"] = perf_counter() - start
-    return Record(
+    record = Record(
         case=case,
         key=case.key,
         status=" ".join(f"{name}: {sides[name].status}" for name in ("implicit", "mesh")),
@@ -78,10 +79,11 @@ def run_case(case: Case, *, folder: str | PathLike[str] | None = None, progress:
         sides=rows,
         between=distances,
         seconds=seconds,
-        notes=(*subject.notes, *_remarks(subject, rows)),
+        notes=(*subject.notes, *_remarks(case, subject, rows)),
         artefacts=artefacts,
         provenance=records.provenance(case.seed),
     )
+    return Record.from_dict(record.to_dict())  # plain numbers and lists, the same as will be read from its row
 
 
 def run_cases(
@@ -149,11 +151,16 @@ def _failure(case: Case, error: Exception) -> Record:
     return Record(case, case.key, f"Failed. {reason}", failed=True, provenance=records.provenance(case.seed))
 
 
-def _remarks(subject: Subject, rows: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def _remarks(case: Case, subject: Subject, rows: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """What a reader of the numbers must know: which editor stopped short, and a surface that fell to pieces."""
+    what = f"{case.name}, {case.operation}"
+    remarks = [f"{what}, {SIDES[name]}: {row['status']}" for name, row in rows.items() if not row["complete"]]
     before, after = meshref.component_count(subject.V, subject.F), rows["implicit"]["bodies"]
     if before != after:
-        return [f"The surface of the field had {before} bodies before the edit and has {after} after it."]
-    return []
+        remarks.append(
+            f"{what}: the surface of the field is in {after} pieces after the edit, and was in {before} before."
+        )
+    return remarks
 
 
 def _write(

@@ -103,7 +103,7 @@ def load_mesh(path: str) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"], li
         V, F = meshref.check_mesh(V, F, closed=True)
     except meshref.MeshError as error:
         raise InputError(f"{path}: {error}") from error
-    return V, F, [f"{path}: {step}" for step in report.steps]
+    return V, F, [f"{path}: {step.rstrip('.')}." for step in report.steps]
 
 
 def prepare_subject(case: Case, *, folder: Path | None = None, progress: Progress | None = None) -> Subject:

@@ -7,6 +7,7 @@ Sensitivity, ICLR 2023, arXiv:2304.12951].
 from implicit.evolve import Edit, EditStatus
 from implicit.extraction import SurfaceError, extract_mesh, project_to_surface
 from implicit.field import Field, Units, decoder_field, load_field, save_field
+from implicit.fit import FitStatus, Training, fit_field
 from implicit.functionals import Area, Functional, SurfaceIntegral, Volume, VolumeIntegral
 from implicit.geometric import geometric_edit
 from implicit.models import Siren
@@ -24,6 +25,7 @@ __all__ = [
     "Edit",
     "EditStatus",
     "Field",
+    "FitStatus",
     "Functional",
     "HalfSpace",
     "Handle",
@@ -34,6 +36,7 @@ __all__ = [
     "SurfaceError",
     "SurfaceIntegral",
     "SurfaceSample",
+    "Training",
     "Units",
     "Volume",
     "VolumeIntegral",
@@ -41,6 +44,7 @@ __all__ = [
     "basis",
     "decoder_field",
     "extract_mesh",
+    "fit_field",
     "geometric_edit",
     "load_field",
     "normal_displacement",

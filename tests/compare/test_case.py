@@ -81,7 +81,10 @@ def test_the_default_bump_sits_on_the_middle_of_the_thin_side():
         (lambda: Case("spot", "smooth", vertices=3), "at least 100 vertices"),
         (lambda: HandleSpec({"kind": "cone"}, UP), "kind of a region must be one of ball, box, halfspace"),
         (lambda: HandleSpec({**BALL, "size": 1}, UP), "takes center, radius, falloff, but got size"),
-        (lambda: HandleSpec(BALL, {"kind": "vector", "vector": [0, float("nan"), 0]}), "vector of a motion must be finite"),
+        (
+            lambda: HandleSpec(BALL, {"kind": "vector", "vector": [0, float("nan"), 0]}),
+            "vector of a motion must be finite",
+        ),
     ],
 )
 def test_what_makes_no_case_is_refused(make, message):

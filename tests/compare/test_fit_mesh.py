@@ -54,7 +54,7 @@ def test_the_report_agrees_with_a_measurement_from_outside(fitted):
     assert meshref.chamfer(V2, F2, V, F, seed=3) == pytest.approx(report.mean_distance_user, rel=0.1)
     assert report.mean_distance_user == pytest.approx(report.mean_distance * report.diagonal)
     assert report.diagonal == pytest.approx(np.linalg.norm(np.ptp(V, axis=0)))
-    assert meshref.volume(V2, F2) / meshref.volume(V, F) - 1 == pytest.approx(report.volume_error, abs=1e-3)
+    assert meshref.volume(V2, F2) / meshref.volume(V, F) - 1 == pytest.approx(report.volume_error, abs=2e-3)
 
 
 def test_the_report_is_plain_data(fitted):
@@ -77,16 +77,25 @@ def test_units_lead_back_to_where_the_mesh_was(fitted):
     np.testing.assert_allclose(box[:, :2], [moved.min(axis=0)[:2], moved.max(axis=0)[:2]])
 
 
+@pytest.fixture
+def coarse(monkeypatch):
+    """A report that takes no time, for tests that look at the weights."""
+    monkeypatch.setattr("compare.fit.RESOLUTION", 24)
+    monkeypatch.setattr("compare.fit.QUADRATURE", 24)
+
+
+@pytest.mark.usefixtures("coarse")
 def test_the_same_seed_gives_the_same_weights():
     first, again, other = (fit_mesh(V, F, steps=5, seed=seed)[0].theta for seed in (1, 1, 2))
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
 
 
+@pytest.mark.usefixtures("coarse")
 def test_what_was_mended_is_named():
     inward = F[:, ::-1]
     doubled = np.concatenate([V, V[:10], [[9.0, 9.0, 9.0]]])
-    _, report = fit_mesh(doubled, inward, steps=60)
+    _, report = fit_mesh(doubled, inward, steps=20)
     said = " ".join(report.mended)
     assert "unreferenced" in said
     assert "turned" in said
@@ -99,6 +108,7 @@ def test_a_mesh_that_cannot_be_mended_is_refused_with_the_reason():
         fit_mesh(np.where(V > 0.8, np.nan, V), F)
 
 
+@pytest.mark.usefixtures("coarse")
 def test_a_poor_fit_says_so_in_words():
     _, report = fit_mesh(V, F, steps=2)
     assert not report.good
@@ -106,6 +116,7 @@ def test_a_poor_fit_says_so_in_words():
     json.dumps(report.to_dict(), allow_nan=False)
 
 
+@pytest.mark.usefixtures("coarse")
 def test_a_fit_cut_short_by_time_says_so():
     _, report = fit_mesh(V, F, steps=100_000, seconds=0.5)
     assert not report.good
@@ -125,6 +136,7 @@ def test_several_bodies_are_kept_or_refused_as_asked():
         fit_mesh(both, faces, bodies="refuse")
 
 
+@pytest.mark.usefixtures("coarse")
 def test_an_interrupted_fit_resumes_to_the_same_weights(tmp_path):
     class StopError(Exception):
         pass
@@ -144,7 +156,7 @@ def test_an_interrupted_fit_resumes_to_the_same_weights(tmp_path):
 @needs_meshes
 @pytest.mark.parametrize(("name", "genus"), [("bunny.off", 0), ("rocker-arm.obj", 1), ("bar.off", 0), ("spot.obj", 0)])
 def test_real_shapes_fit_below_the_stated_error_in_few_steps(name, genus):
-    """A third of the default steps already leaves a mean distance under a quarter of what is asked."""
+    """A quarter of the default steps already leaves a mean distance under a quarter of what is asked."""
     _, report = fit_mesh(*meshref.read_mesh(MESHES / name), steps=1000)
     assert report.good, report.verdict
     assert report.mean_distance < 0.001

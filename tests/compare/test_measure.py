@@ -31,8 +31,8 @@ def grow(distance):
 
 def measured(case, subject, displacement, other=None):
     wanted = wanted_motion(case, subject)
-    own = Outcome(displacement, "by hand", "Done.", 0.0)
-    other = Outcome(np.zeros_like(displacement) if other is None else other, "by hand", "Done.", 0.0)
+    own = Outcome(displacement, "by hand", "Done.", True, 0.0)
+    other = Outcome(np.zeros_like(displacement) if other is None else other, "by hand", "Done.", True, 0.0)
     return measure(case, subject, wanted, own, error_field(case, subject, wanted, own, other))
 
 
@@ -75,7 +75,7 @@ def test_numbers_are_in_the_users_units():
 
 def test_a_rigid_motion_has_no_energy_and_no_strain():
     subject = unit_sphere()
-    turn = np.cross([0.1, -0.2, 0.3], subject.V) + [0.3, 0.1, -0.2]
+    turn = np.cross([0.1, -0.2, 0.3], subject.V) + np.array([0.3, 0.1, -0.2])
     assert strain(subject, turn).max() < 1e-12
     assert meshref.killing_energy(subject.V, subject.F, turn) < 1e-20
 
@@ -98,14 +98,14 @@ def test_the_error_of_smoothing_is_the_difference_along_the_normal():
 
 def test_overlapping_handles_add_up_in_a_geometric_edit():
     """As the neural editor has it."""
-    case = Case("spot", "geometric", grow(0.1).handles + grow(0.02).handles)
+    case = Case("spot", "geometric", (*grow(0.1).handles, *grow(0.02).handles))
     wanted = wanted_motion(case, unit_sphere())
     assert wanted.largest == pytest.approx(0.12)
 
 
 def test_a_handle_off_the_shape_is_refused():
     far = HandleSpec({"kind": "ball", "center": [5.0, 0.0, 0.0], "radius": 0.1}, {"kind": "along", "distance": 0.1})
-    with pytest.raises(ValueError, match="Handle 1 of the case .* holds no vertex"):
+    with pytest.raises(ValueError, match=r"Handle 1 of the case .* holds no vertex"):
         wanted_motion(Case("spot", "geometric", (far,)), unit_sphere())
 
 

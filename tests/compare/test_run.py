@@ -93,6 +93,7 @@ def test_a_pool_gives_what_a_loop_gives(small_run, small_cases):
     with ThreadPoolExecutor(2) as pool:
         records = run_cases(small_cases[:2], pool)
     for one, other in zip(records, small_run.records[:2], strict=True):
+        assert not one.failed, one.status
         assert one.key == other.key
         assert one.sides["mesh"]["killing_energy"] == pytest.approx(other.sides["mesh"]["killing_energy"], rel=1e-6)
         for name in ("killing_energy", "volume_drift"):
@@ -117,3 +118,13 @@ def test_a_shape_that_does_not_exist_is_a_row(tmp_path):
     """Even its key cannot be had, for that needs the file."""
     with pytest.raises(FileNotFoundError):
         run_cases([Case(str(tmp_path / "gone.obj"), "smooth")])
+
+
+def test_an_editor_that_stops_short_is_named_in_the_notes(shape_file):
+    """A flow of steps so large that a shape of this size cannot take them."""
+    case = Case(str(shape_file), "smooth", parameters={"steps": 2, "step_size": 10.0}, vertices=500, resolution=32)
+    record = run_case(case)
+    short = [name for name, side in record.sides.items() if not side["complete"]]
+    assert short
+    for name in short:
+        assert any(record.sides[name]["status"] in note for note in record.notes)

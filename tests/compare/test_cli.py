@@ -1,0 +1,103 @@
+"""The command line, from start to end on a small field."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+from compare.records import read
+
+
+def command(*arguments, cwd):
+    return subprocess.run(
+        [sys.executable, "-m", "compare", *map(str, arguments)],
+        cwd=cwd,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=600,
+        env={**os.environ, "COLUMNS": "80"},
+    )
+
+
+def test_help_is_quick_and_names_every_command(tmp_path):
+    """Torch alone takes longer to import than this."""
+    start = time.perf_counter()
+    result = command("--help", cwd=tmp_path)
+    assert result.returncode == 0
+    assert time.perf_counter() - start < 5
+    for word in ("run", "shapes", "fit", "report", "figures"):
+        assert word in result.stdout
+
+
+def test_help_imports_neither_torch_nor_the_mesh_libraries(tmp_path):
+    code = "import sys, compare.cli; print([m for m in ('torch', 'igl', 'pymeshlab', 'plotly') if m in sys.modules])"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True)
+    assert result.stdout.strip() == "[]"
+
+
+def test_shapes_lists_the_bundled_ones_with_their_fit(tmp_path):
+    rows = json.loads(command("shapes", "--json", cwd=tmp_path).stdout)
+    assert list(rows) == ["spot", "cactus", "bracket"]
+    assert all(row["parameters"] == 2273 and row["good"] for row in rows.values())
+    assert "bracket" in command("shapes", cwd=tmp_path).stdout
+
+
+@pytest.fixture(scope="module")
+def finished(shape_file, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("cli")
+    arguments = ("run", shape_file, "--quick", "--operations", "geometric", "rigid", "-o", "out")
+    return folder, command(*arguments, cwd=folder)
+
+
+def test_run_prints_a_table_and_writes_the_run_folder(finished):
+    folder, result = finished
+    assert result.returncode == 0, result.stderr
+    for word in ("bulb", "geometric", "rigid", "neural", "mesh", "ARAP", "Killing"):
+        assert word in result.stdout
+    assert "…" not in result.stdout, "the table is cut at 80 characters"
+    assert {path.name for path in (folder / "out").iterdir()} == {
+        "results.jsonl",
+        "fields",
+        "meshes",
+        "subjects",
+        "report.html",
+    }
+    assert [r.case.operation for r in read(folder / "out")] == ["geometric", "rigid"]
+
+
+def test_resume_does_only_what_is_missing(finished, shape_file):
+    folder, _ = finished
+    rows = (folder / "out" / "results.jsonl").read_bytes().splitlines(keepends=True)
+    (folder / "out" / "results.jsonl").write_bytes(rows[0])
+    arguments = ("run", shape_file, "--quick", "--operations", "geometric", "rigid", "-o", "out", "--resume", "--json")
+    result = command(*arguments, cwd=folder)
+    assert result.returncode == 0, result.stderr
+    assert (folder / "out" / "results.jsonl").read_bytes().startswith(rows[0])
+    assert len(read(folder / "out")) == 2
+    printed = [json.loads(line) for line in result.stdout.splitlines()]
+    assert [row["case"]["operation"] for row in printed] == ["geometric", "rigid"]
+
+
+def test_report_and_figures_can_be_made_again(finished):
+    folder, _ = finished
+    (folder / "out" / "report.html").unlink()
+    assert command("report", "out", cwd=folder).returncode == 0
+    assert (folder / "out" / "report.html").stat().st_size > 1e6
+    result = command("figures", "out", "-o", "pictures", "--formats", "png", cwd=folder)
+    assert result.returncode == 0, result.stderr
+    assert (folder / "pictures" / "bulb.png").stat().st_size > 10_000
+
+
+def test_quiet_prints_nothing(finished, shape_file, tmp_path):
+    result = command("run", shape_file, "--quick", "--operations", "rigid", "-o", "out", "--quiet", cwd=tmp_path)
+    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+
+
+def test_the_version_is_that_of_the_distribution(tmp_path):
+    from importlib.metadata import version
+
+    assert command("--version", cwd=tmp_path).stdout.strip() == version("implicit-vs-mesh")

@@ -1,0 +1,97 @@
+"""The README is true: its snippets run, its commands run, its set-up lines are those of the continuous integration.
+
+Commands run as they are written, in an empty folder. IMPLICIT_VS_MESH_README_QUICK=1 adds --quick to `run`, for
+those who wait for the tests at every change. What sets up an environment or runs these very tests is not run from
+here; .ci/run does it, and must say the same words.
+"""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import meshref
+
+ROOT = Path(__file__).resolve().parent.parent
+TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
+SET_UP = ("python3 -m venv", "pip install", "pytest")
+
+
+def blocks(language):
+    return re.findall(rf"^```{language}\n(.*?)^```$", TEXT, flags=re.DOTALL | re.MULTILINE)
+
+
+PYTHON = blocks("python")
+LINES = [line for block in blocks("bash") for line in block.splitlines() if line.strip()]
+COMMANDS = list(dict.fromkeys(line for line in LINES if not line.startswith(SET_UP)))
+
+
+def environment():
+    """The command of this very environment first, wherever it is activated or not."""
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
+    return {**os.environ, "PATH": path}
+
+
+def execute(arguments, folder, **options):
+    result = subprocess.run(
+        arguments,
+        cwd=folder,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env=environment(),
+        timeout=1800,
+        check=False,
+        **options,
+    )
+    assert result.returncode == 0, result.stdout
+    return result.stdout
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """An empty folder with a mesh of the reader's own: a stretched ball, in other units than the field's."""
+    folder = tmp_path_factory.mktemp("readme")
+    V, F = meshref.icosphere(3)
+    meshref.write_mesh(folder / "my-shape.obj", V * [20.0, 35.0, 25.0] + 100, F)
+    return folder
+
+
+def test_there_is_something_to_run():
+    assert len(PYTHON) == 3
+    assert any(command.startswith("implicit-vs-mesh run") for command in COMMANDS)
+
+
+@pytest.mark.parametrize("snippet", PYTHON, ids=lambda text: re.search(r"import (\w+)|from (\w+)", text)[0].split()[1])
+def test_a_snippet_runs_and_prints(snippet, folder):
+    assert execute([sys.executable, "-c", snippet], folder).strip()
+
+
+def test_every_command_runs_as_written(folder):
+    """In the order of the page, for later ones use what earlier ones wrote."""
+    quick = os.environ.get("IMPLICIT_VS_MESH_README_QUICK") == "1"
+    for command in COMMANDS:
+        is_run = command.startswith("implicit-vs-mesh run")
+        execute(f"{command} --quick" if quick and is_run else command, folder, shell=True)
+    runs = sorted(path.parent for path in folder.glob("results/*/results.jsonl"))
+    assert len(runs) >= 2
+    for run in runs:
+        assert (run / "report.html").stat().st_size > 1e6
+
+
+def test_the_set_up_of_the_tests_is_what_the_continuous_integration_does():
+    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    assert 'pip install -c constraints.txt ".[test]"' in LINES
+    assert re.search(r'pip install .*-c constraints\.txt "\.\[test\]"$', script, flags=re.MULTILINE)
+    assert "pytest" in LINES
+    assert re.search(r"^pytest$", script, flags=re.MULTILINE)
+
+
+def test_every_file_it_links_to_is_there():
+    for target in re.findall(r"\]\(([^)]+)\)", TEXT):
+        if not target.startswith("http"):
+            assert (ROOT / target).is_file(), target
