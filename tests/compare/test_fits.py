@@ -1,0 +1,27 @@
+"""The table of fits is made of reports, row by row."""
+
+from compare.fits import COLUMNS, main, table
+
+import meshref
+
+
+def test_a_folder_of_meshes_becomes_a_table(tmp_path, capsys):
+    V, F = meshref.icosphere(3, radius=2.0)
+    meshref.write_mesh(tmp_path / "ball.obj", V, F)
+    output = tmp_path / "docs" / "fits.md"
+    assert main([str(tmp_path), "--widths", "16", "-o", str(output)]) == 0
+    line = next(x for x in output.read_text().splitlines() if x.startswith("| ball.obj"))
+    cells = [x.strip() for x in line.strip("|").split("|")]
+    assert len(cells) == len(COLUMNS)
+    assert float(cells[2]) < 0.4  # mean distance in per cent of the diagonal
+    assert cells[7] == "0 (0)"
+    assert line.strip("| ") in capsys.readouterr().out
+
+
+def test_an_empty_folder_is_refused(tmp_path, capsys):
+    assert main([str(tmp_path)]) == 2
+    assert "There is no mesh in" in capsys.readouterr().err
+
+
+def test_the_table_is_markdown():
+    assert table([["a"] * len(COLUMNS)]).splitlines()[1].count("---") == len(COLUMNS)
