@@ -23,17 +23,22 @@ Faces = NDArray[np.int64]
 BLOCK_CELLS = 4
 GRADIENT_SAFETY = 1.5
 
+# Bytes for the grid of an extraction unless the caller says otherwise: a resolution of about 640 in a cube.
+MEMORY_LIMIT = 4 * 2**30
+BYTES_A_NODE = 16  # value, mask, and what marching cubes take on top
+
 
 class SurfaceError(ValueError):
     """The field has no usable surface inside its bounds."""
 
 
-def extract_mesh(field: Field, resolution: int = 128) -> tuple[Vertices, Faces]:
+def extract_mesh(field: Field, resolution: int = 128, *, memory_limit: float = MEMORY_LIMIT) -> tuple[Vertices, Faces]:
     """The surface as a closed triangle mesh, its vertices placed on f = 0 by Newton's method.
 
     Args:
         field: A field in 3D (triangles), or in 2D (segments).
         resolution: Cells along the longest side of the bounds, at least 4.
+        memory_limit: Bytes that the grid may take; a finer one is refused before any work.
 
     Returns:
         Vertices (n, D) float64 in the field's coordinates, and faces (m, D) int64 that index them: triangles
@@ -41,16 +46,20 @@ def extract_mesh(field: Field, resolution: int = 128) -> tuple[Vertices, Faces]:
 
     Raises:
         SurfaceError: There is no zero set in the bounds, it leaves them, or the gradient vanishes on it.
+        MemoryError: The grid would take more than memory_limit.
     """
-    points, faces = marched_surface(field, resolution)
+    points, faces = marched_surface(field, resolution, memory_limit)
     return points.double().cpu().numpy(), faces.cpu().numpy()
 
 
-def marched_surface(field: Field, resolution: int) -> tuple[Float[Tensor, "n d"], Tensor]:
+def marched_surface(
+    field: Field, resolution: int, memory_limit: float = MEMORY_LIMIT
+) -> tuple[Float[Tensor, "n d"], Tensor]:
     """As extract_mesh, but as tensors of the field's dtype and device."""
     if resolution < 4:
         raise ValueError(f"resolution must be at least 4 cells along the longest side, but is {resolution}.")
     axes, cell = _axes(field, resolution)
+    _require_memory(axes, memory_limit)
     values = grid_values(field, axes)
     _require_inside_bounds(values, field)
     march = _march_cubes if field.dimension == 3 else _march_squares
@@ -108,7 +117,9 @@ def newton_to_surface(
         step = step * (0.25 * reach / length.clamp(min=0.25 * reach))[:, None]
         moved = x + step
         strayed = ~torch.isfinite(moved).all(dim=1) | ((moved - points[going]).norm(dim=1) > reach)
-        there = (length <= tolerance) & ~strayed
+        # Newton squares the error: a step s leaves about s^2 / (2 r) where the surface has radius r. Taking r for a
+        # hundredth of the field's size saves the last evaluation, which would only confirm it.
+        there = (torch.minimum(length, 50 / field.size * length**2) <= tolerance) & ~strayed
         current[going] = torch.where(strayed[:, None], x, moved)
         arrived[going[there]] = True
         going = going[~there & ~strayed]
@@ -145,26 +156,20 @@ def project_to_surface(
 
 
 def grid_values(field: Field, axes: list[Tensor]) -> Tensor:
-    """f on the product grid of the axes, evaluated only in blocks of cells that can hold the surface.
+    """f in float32 on the product grid of the axes, evaluated only in blocks of cells that can hold the surface.
 
     A block is left out where |f| at its centre exceeds half its diagonal times a bound on |df/dx|: the largest
-    gradient seen at any centre, with a safety factor. Its nodes take the value at the centre, which has the right
-    sign. Memory is one number a node; the evaluations themselves are chunked.
+    gradient seen near by on a coarse grid, with a safety factor. Its nodes take the value at the centre, which has the right
+    sign. Large grids are first thinned in blocks of blocks. Single precision is all that marching cubes work in; the
+    vertices find the surface afterwards in the field's own.
     """
+    field = field.to(torch.float32)
+    axes = [axis.float() for axis in axes]
     counts = [-(-(len(axis) - 1) // BLOCK_CELLS) for axis in axes]
     cell = float(axes[0][1] - axes[0][0])
-    centers = [
-        axis[0] + cell * BLOCK_CELLS * (0.5 + torch.arange(count, dtype=axis.dtype, device=axis.device))
-        for axis, count in zip(axes, counts, strict=True)
-    ]
-    middle = torch.stack(torch.meshgrid(*centers, indexing="ij"), dim=-1).reshape(-1, field.dimension)
-    f, g = field.value_and_gradient(middle)
-    if not bool(torch.isfinite(f).all() and torch.isfinite(g).all()):
-        raise SurfaceError("The field is NaN or infinite inside its bounds. Mend its parameters, or shrink the bounds.")
-    half_diagonal = 0.5 * cell * BLOCK_CELLS * field.dimension**0.5
-    bound = GRADIENT_SAFETY * float(g.norm(dim=1).max()) * half_diagonal
-    near = (f.abs() <= bound).view(counts)
-    values, wanted = f.view(counts), near
+    steepest = _Steepest(field)
+    values, near = _block_values(field, [float(axis[0]) for axis in axes], cell * BLOCK_CELLS, counts, steepest)
+    wanted = near
     for axis, nodes in enumerate(axes):
         values = _to_nodes(values, axis, len(nodes))[0]
         here, before = _to_nodes(wanted, axis, len(nodes))
@@ -172,7 +177,58 @@ def grid_values(field: Field, axes: list[Tensor]) -> Tensor:
     values = values.contiguous()
     index = wanted.nonzero()
     points = torch.stack([axis[index[:, k]] for k, axis in enumerate(axes)], dim=1)
-    values[wanted] = field.value(points)
+    values[wanted] = _finite(field.value(points))
+    return values
+
+
+def _block_values(
+    field: Field, lower: list[float], side: float, counts: list[int], steepest: _Steepest
+) -> tuple[Tensor, Tensor]:
+    """f at the centre of each block, or at that of the larger block round it, and whether the surface may be inside."""
+    half_diagonal = 0.5 * side * field.dimension**0.5
+    if max(counts) < 6 * BLOCK_CELLS:
+        candidates = torch.ones(counts, dtype=torch.bool, device=field.device)
+        values = torch.zeros(counts, dtype=torch.float32, device=field.device)
+    else:
+        coarse = [-(-count // BLOCK_CELLS) for count in counts]
+        values, candidates = _block_values(field, lower, side * BLOCK_CELLS, coarse, steepest)
+        for axis, count in enumerate(counts):
+            values = values.repeat_interleave(BLOCK_CELLS, dim=axis).narrow(axis, 0, count)
+            candidates = candidates.repeat_interleave(BLOCK_CELLS, dim=axis).narrow(axis, 0, count)
+        values = values.contiguous()
+    index = candidates.nonzero()
+    centers = torch.tensor(lower, device=field.device) + side * (index + 0.5)
+    found = _finite(field.value(centers.float()))
+    values[candidates] = found
+    near = torch.zeros_like(candidates)
+    near[candidates] = found.abs() <= steepest.at(centers) * half_diagonal
+    return values, near
+
+
+class _Steepest:
+    """A bound on |df/dx| near a point: the largest at the 27 nearest nodes of a coarse grid, with the safety factor."""
+
+    nodes = 24
+
+    def __init__(self, field: Field) -> None:
+        lines = [
+            torch.linspace(float(a), float(b), self.nodes, dtype=field.dtype, device=field.device)
+            for a, b in field.bounds.T
+        ]
+        points = torch.stack(torch.meshgrid(*lines, indexing="ij"), dim=-1).reshape(-1, field.dimension)
+        lengths = _finite(field.gradient(points)).norm(dim=1).view(1, 1, *[self.nodes] * field.dimension)
+        pool = torch.nn.functional.max_pool3d if field.dimension == 3 else torch.nn.functional.max_pool2d
+        self._bound = GRADIENT_SAFETY * pool(lengths, 3, stride=1, padding=1)[0, 0]
+        self._lower = field.bounds[0]
+        self._step = (field.bounds[1] - field.bounds[0]) / (self.nodes - 1)
+
+    def at(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
+        """The bound near each point."""
+        index = ((points - self._lower) / self._step).round().long().clamp(0, self.nodes - 1)
+        return self._bound[tuple(index.T)]
+
+
+def _finite(values: Tensor) -> Tensor:
     if not bool(torch.isfinite(values).all()):
         raise SurfaceError("The field is NaN or infinite inside its bounds. Mend its parameters, or shrink the bounds.")
     return values
@@ -194,6 +250,17 @@ def _axes(field: Field, resolution: int) -> tuple[list[Tensor], float]:
         first = (lower + upper) / 2 - count * cell / 2
         axes.append(first + cell * torch.arange(count + 1, dtype=field.dtype, device=field.device))
     return axes, cell
+
+
+def _require_memory(axes: list[Tensor], limit: float) -> None:
+    nodes = 1.0
+    for axis in axes:
+        nodes *= len(axis)
+    if BYTES_A_NODE * nodes > limit:
+        raise MemoryError(
+            f"A grid of {' x '.join(str(len(axis)) for axis in axes)} nodes needs about {BYTES_A_NODE * nodes / 2**30:.1f} "
+            f"GiB, more than the limit of {limit / 2**30:.1f} GiB. Lower the resolution, or raise memory_limit."
+        )
 
 
 def _require_inside_bounds(values: Tensor, field: Field) -> None:

@@ -100,3 +100,31 @@ def test_a_surface_that_leaves_the_bounds_is_refused():
 def test_too_coarse_a_grid_is_refused():
     with pytest.raises(ValueError, match="at least 4 cells"):
         extract_mesh(shapes.sphere(radius=0.5), 2)
+
+
+def test_leaving_out_blocks_loses_no_body_and_no_thin_shell():
+    """Four small balls far apart, and a shell two cells thick: all the volume is there."""
+    balls = [shapes.sphere(radius=0.06, center=c) for c in ((0.6, 0, 0), (-0.6, 0, 0), (0, 0.6, 0), (0, 0, -0.6))]
+    many = shapes.smooth_union(*balls, blend=0.01)
+    shell = shapes.smooth_difference(shapes.sphere(radius=0.5), shapes.sphere(radius=0.5 - 2 * 2 / 128), blend=0.001)
+    of_balls, of_shell = 4 * 4 / 3 * math.pi * 0.06**3, 4 / 3 * math.pi * (0.125 - 0.46875**3)
+    for field, resolution, volume in ((many, 256, of_balls), (shell, 128, of_shell)):
+        V, F = extract_mesh(Field(field.module, bounds=((-1,) * 3, (1,) * 3)), resolution)
+        a, b, c = (V[F[:, k]] for k in range(3))
+        assert np.einsum("ij,ij->", np.cross(a, b), c) / 6 == pytest.approx(volume, rel=0.03)
+
+
+@pytest.mark.parametrize("name", ["spot", "bracket"])
+def test_blocks_left_out_change_nothing_of_the_signs(name):
+    from implicit.extraction import _axes, grid_values
+
+    field = shapes.bundled(name)
+    axes, _ = _axes(field, 100)
+    points = torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1).reshape(-1, 3)
+    whole = field.value(points).view(101, 101, 101)
+    assert torch.equal(grid_values(field, axes) < 0, whole < 0)
+
+
+def test_a_grid_beyond_the_memory_limit_is_refused_at_once():
+    with pytest.raises(MemoryError, match=r"more than the limit of 4\.0 GiB"):
+        extract_mesh(shapes.sphere(radius=0.5), 5000)
