@@ -37,7 +37,7 @@ class Basis:
 class Quadrature:
     """Area and volume of a torus, against their closed forms."""
 
-    params = [24, 48, 96]
+    params = (24, 48, 96)
     param_names = ("resolution",)
 
     def setup(self, resolution):
@@ -62,7 +62,7 @@ class Quadrature:
 class Solvers:
     """Each method on the same real system of 3000 rows and 2273 unknowns, with a volume constraint."""
 
-    params = ["primal", "dual", "qr", "cg"]
+    params = ("primal", "dual", "qr", "cg")
     param_names = ("method",)
 
     def setup(self, method):
@@ -96,7 +96,7 @@ class Solvers:
 class Extraction:
     """Meshes of a bundled field."""
 
-    params = [64, 128, 256]
+    params = (64, 128, 256)
     param_names = ("resolution",)
 
     def setup(self, resolution):

@@ -88,8 +88,8 @@ def _page(text: str) -> str:
         "Made by `python -m compare.fits FOLDER --widths 32 64 128 -o docs/fits.md` on "
         f"{date.today()}, {platform.machine()}, {torch.get_num_threads()} thread(s). "
         "Distances are in per cent of the diagonal of the mesh's box, "
-        "from 20,000 samples on each surface; in brackets, the mesh's own genus and number of bodies. Seconds count all: "
-        "mending, sampling, 4000 steps of training, and the report.\n\n" + text
+        "from 20,000 samples on each surface; in brackets, the mesh's own genus and number of bodies. "
+        "Seconds count all: mending, sampling, 4000 steps of training, and the report.\n\n" + text
     )
 
 

@@ -159,9 +159,9 @@ def grid_values(field: Field, axes: list[Tensor]) -> Tensor:
     """f in float32 on the product grid of the axes, evaluated only in blocks of cells that can hold the surface.
 
     A block is left out where |f| at its centre exceeds half its diagonal times a bound on |df/dx|: the largest
-    gradient seen near by on a coarse grid, with a safety factor. Its nodes take the value at the centre, which has the right
-    sign. Large grids are first thinned in blocks of blocks. Single precision is all that marching cubes work in; the
-    vertices find the surface afterwards in the field's own.
+    gradient seen near by on a coarse grid, with a safety factor. Its nodes take the value at the centre, which has
+    the right sign. Large grids are first thinned in blocks of blocks. Single precision is all that marching cubes
+    work in; the vertices find the surface afterwards in the field's own.
     """
     field = field.to(torch.float32)
     axes = [axis.float() for axis in axes]
@@ -258,8 +258,9 @@ def _require_memory(axes: list[Tensor], limit: float) -> None:
         nodes *= len(axis)
     if BYTES_A_NODE * nodes > limit:
         raise MemoryError(
-            f"A grid of {' x '.join(str(len(axis)) for axis in axes)} nodes needs about {BYTES_A_NODE * nodes / 2**30:.1f} "
-            f"GiB, more than the limit of {limit / 2**30:.1f} GiB. Lower the resolution, or raise memory_limit."
+            f"A grid of {' x '.join(str(len(axis)) for axis in axes)} nodes needs about "
+            f"{BYTES_A_NODE * nodes / 2**30:.1f} GiB, more than the limit of {limit / 2**30:.1f} GiB. Lower "
+            "the resolution, or raise memory_limit."
         )
 
 
