@@ -19,7 +19,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.deformation import DeformationSpace
-from implicit.solve import Rows
+from implicit.sensitivity import adjoint, normal_displacement
+from implicit.solve import Operator, Rows
 
 
 class Energy(Protocol):
@@ -40,6 +41,19 @@ class NormalTarget:
     def rows(self, space: DeformationSpace) -> Iterator[Rows]:
         for where, matrix in space.normal_rows(self.points):
             yield Rows(matrix, self.target[where], self.weights[where])
+
+    def operator(self, space: DeformationSpace) -> Operator:
+        """The same equations by their products, for networks whose rows do not fit in memory."""
+        field, p = space.field, space.parameters
+        lengths = field.gradient_length(field.gradient(self.points))
+
+        def back(weights: Tensor) -> Tensor:
+            theta = adjoint(field, self.points, weights, lengths)
+            return torch.cat([theta, theta.new_zeros(space.size - p)])
+
+        return Operator(
+            lambda x: normal_displacement(field, self.points, x[:p], lengths), back, self.target, self.weights
+        )
 
 
 @dataclass(frozen=True, eq=False)

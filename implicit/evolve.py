@@ -19,11 +19,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.deformation import DeformationSpace
-from implicit.energies import Energy
+from implicit.energies import Energy, NormalTarget
 from implicit.extraction import SurfaceError, newton_to_surface
 from implicit.field import Field
 from implicit.functionals import Functional
-from implicit.solve import LeastSquares, Solution, SolveStatus
+from implicit.solve import DENSE_LIMIT, LeastSquares, Solution, SolveStatus
 from implicit.surface import SurfaceSample, surface_quadrature
 
 Progress = Callable[[int, int, dict[str, Any]], None]
@@ -204,10 +204,7 @@ def _take(
     field = state.field
     problem = operation.step(state)
     space = problem.space
-    system = LeastSquares(space.size, field.theta)
-    for energy in problem.energies:
-        for rows in energy.rows(space):
-            system.add(rows)
+    system = _assemble(problem)
     fixed = guard.rows(field, space.size)
     clock = time.perf_counter()
     trial = _trial(state, problem, system, fixed, trust, carried, 2 * field.size / guard.resolution)
@@ -248,6 +245,29 @@ def _take(
         "seconds_solve": solved,
     }
     return moved, arrived_at, {**(problem.row or {}), **row}
+
+
+def _assemble(problem: StepProblem) -> LeastSquares:
+    """The step's least squares: its rows, or for a network too large for a matrix, their products."""
+    space = problem.space
+    if space.size <= DENSE_LIMIT:
+        system = LeastSquares(space.size, space.field.theta)
+        for energy in problem.energies:
+            for rows in energy.rows(space):
+                system.add(rows)
+        return system
+    # A sketch of the spectrum costs as many products as it has columns, each a forward and a backward pass: here
+    # plain conjugate gradients are through with less. Each step sees what the last one missed, so 1e-4 is enough.
+    system = LeastSquares(space.size, space.field.theta, method="cg", rank=0, tolerance=1e-4)
+    for energy in problem.energies:
+        if not isinstance(energy, NormalTarget):
+            raise ValueError(
+                f"With {space.size} unknowns (more than {DENSE_LIMIT}) only targets along the normal can be "
+                f"solved for, but the step has a {type(energy).__name__} energy. Edit fewer parameters (Field(parameters=...)), or "
+                'smooth with method="explicit".'
+            )
+        system.add_operator(energy.operator(space))
+    return system
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ change, `adjoint` that of its transpose with weights at the points.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 
 import torch
@@ -55,13 +56,22 @@ def parameter_gradient(field: Field, points: Float[Tensor, "n d"]) -> Float[Tens
     """df/dtheta at each point."""
     if is_plain(field):
         return plain_gradient(field, points)
-    return vmap(grad(_at_one_point(field)), in_dims=(None, 0))(field.theta, points)
+    try:
+        return vmap(grad(_at_one_point(field)), in_dims=(None, 0))(field.theta, points)
+    except (RuntimeError, NotImplementedError) as error:
+        return _one_by_one(field, points, error)[0]
 
 
 def normal_displacement(
-    field: Field, points: Float[Tensor, "n d"], d_theta: Float[Tensor, " p"]
+    field: Field,
+    points: Float[Tensor, "n d"],
+    d_theta: Float[Tensor, " p"],
+    lengths: Float[Tensor, " n"] | None = None,
 ) -> Float[Tensor, " n"]:
     """Outward motion B d_theta of surface points, a length, without making B.
+
+    Args:
+        lengths: |df/dx| at the points, where the caller has it already.
 
     Raises:
         ValueError: The gradient vanishes at a point, or d_theta has another size than theta.
@@ -69,9 +79,10 @@ def normal_displacement(
     points = field.require_points(points)
     if d_theta.shape != field.theta.shape:
         raise ValueError(f"d_theta must have shape {tuple(field.theta.shape)}, but has {tuple(d_theta.shape)}.")
-    length = field.gradient_length(field.gradient(points))
+    if lengths is None:
+        lengths = field.gradient_length(field.gradient(points))
     change = [_directional(field, part, d_theta.to(field.theta)) for part in points.split(CHUNK)]
-    return -torch.cat(change) / length if change else points.new_zeros(0)
+    return -torch.cat(change) / lengths if change else points.new_zeros(0)
 
 
 def _directional(field: Field, points: Tensor, d_theta: Tensor) -> Tensor:
@@ -124,8 +135,37 @@ def parameter_gradient_and_slope(
         return jvp(lambda x: gradient(theta, x), (point,), (direction,))  # type: ignore[return-value]
 
     along = vmap(vmap(one, in_dims=(None, None, 0)), in_dims=(None, 0, None))
-    values, slopes = along(field.theta, points, torch.eye(field.dimension, dtype=points.dtype, device=points.device))
+    directions = torch.eye(field.dimension, dtype=points.dtype, device=points.device)
+    try:
+        values, slopes = along(field.theta, points, directions)
+    except (RuntimeError, NotImplementedError) as error:
+        return _one_by_one(field, points, error)
     return values[:, 0], slopes
+
+
+def _one_by_one(field: Field, points: Tensor, error: Exception) -> tuple[Tensor, Tensor]:
+    """df/dtheta and its slopes by ordinary backward passes, for modules that vmap cannot take."""
+    warnings.warn(
+        f"The module cannot be vectorised over points ({str(error).splitlines()[0]}), so they are differentiated one "
+        "by one, which is slow. In-place operations and data-dependent branches are the usual cause.",
+        RuntimeWarning,
+        stacklevel=4,
+    )
+    values, slopes = [], []
+    with torch.enable_grad():
+        theta = field.theta.detach().requires_grad_()
+        for point in points:
+            x = point.detach()[None].requires_grad_()
+            f = field.function(theta, x)[0]
+            (value,) = torch.autograd.grad(f, theta, retain_graph=True)
+            (gradient,) = torch.autograd.grad(f, x, create_graph=True)
+            rows = [
+                torch.autograd.grad(g, theta, retain_graph=True, allow_unused=True)[0] if g.requires_grad else None
+                for g in gradient[0]
+            ]
+            values.append(value)
+            slopes.append(torch.stack([torch.zeros_like(theta) if row is None else row for row in rows]))
+    return torch.stack(values), torch.stack(slopes)
 
 
 def row_blocks(points: Tensor, columns: int) -> Iterator[Tensor]:

@@ -437,8 +437,7 @@ class _Cg:
         self.converged = True
         n = len(ridge)
         self._basis, self._values = self._nystrom(n, rank, seed) if rank > 0 else (ridge.new_zeros(n, 0), ridge[:0])
-        largest = float(self._values[0]) if len(self._values) else float("nan")
-        self.condition = largest + 1
+        self.condition = float(self._values[0]) + 1 if len(self._values) else float("nan")
 
     def _scaled(self, x: Tensor) -> Tensor:
         """D^-1/2 A^T W A D^-1/2 x."""
@@ -490,7 +489,7 @@ class _Cg:
         return x
 
     def rank(self, ridge: Tensor, seed: int) -> float:
-        return float((self._values / (self._values + 1)).sum())
+        return float((self._values / (self._values + 1)).sum()) if len(self._values) else float("nan")
 
 
 def _rooted(kept: list[Rows], columns: int, like: Tensor) -> Tensor:

@@ -163,3 +163,13 @@ def test_a_target_that_the_field_cannot_express_is_said_not_to_be_reached():
     field = shapes.sphere(radius=0.5)
     edit = geometric_edit(field, Handle(Ball((0, 0, 0.5), 0.1, falloff=0.2), Along(0.1)), points=500, parts=2)
     assert edit.status is EditStatus.NOT_REACHED
+
+
+def test_a_network_too_large_for_a_matrix_is_edited_by_products(monkeypatch, wobbly):
+    """The same edit with the limit lowered below the network's size."""
+    options = {"points": 400, "parts": 2, "damping": 1e-3}
+    dense = geometric_edit(wobbly, bump(wobbly), **options)
+    monkeypatch.setattr("implicit.evolve.DENSE_LIMIT", 100)
+    free = geometric_edit(wobbly, bump(wobbly), **options)
+    assert free.history[0]["method"] == "cg"
+    torch.testing.assert_close(free.displacement, dense.displacement, rtol=0, atol=1e-4)

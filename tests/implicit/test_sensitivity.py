@@ -109,3 +109,32 @@ def test_a_point_without_gradient_is_refused():
             parameter.fill_(-1.0)
     with pytest.raises(ValueError, match="gradient of the field vanishes"):
         basis(Field(field.module), torch.ones(2, 3))
+
+
+class Stubborn(nn.Module):
+    """A module that vmap cannot take: it branches on its data."""
+
+    def __init__(self):
+        super().__init__()
+        self.radius = nn.Parameter(torch.tensor(0.5, dtype=torch.float64))
+        self.stretch = nn.Parameter(torch.ones(3, dtype=torch.float64))
+
+    def forward(self, points):
+        f = (points * self.stretch).norm(dim=1) - self.radius
+        return f if float(f.detach().sum()) < 1e9 else -f
+
+
+def test_a_module_that_cannot_be_vectorised_is_taken_point_by_point():
+    field = Field(Stubborn())
+    points = sample_surface(field, 5).points
+    with pytest.warns(RuntimeWarning, match="one by one, which is slow"):
+        rows = basis(field, points)
+    # Growing the radius moves points by 1, stretching axis i by -x_i^2 / r.
+    expected = torch.cat([torch.ones(5, 1), -(points**2) / 0.5], dim=1).double()
+    torch.testing.assert_close(rows, expected)
+    with pytest.warns(RuntimeWarning, match="one by one"):
+        _, slopes = parameter_gradient_and_slope(field, points)
+    # d/dx_j of df/dstretch_i = x_i^2 / |x|: 2 x_i d_ij / r - x_i^2 x_j / r^3.
+    x, r = points, 0.5
+    by_hand = 2 * torch.diag_embed(x) / r - x[:, None, :] ** 2 * x[:, :, None] / r**3
+    torch.testing.assert_close(slopes[:, :, 1:], by_hand)
