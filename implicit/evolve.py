@@ -263,8 +263,8 @@ def _assemble(problem: StepProblem) -> LeastSquares:
         if not isinstance(energy, NormalTarget):
             raise ValueError(
                 f"With {space.size} unknowns (more than {DENSE_LIMIT}) only targets along the normal can be "
-                f"solved for, but the step has a {type(energy).__name__} energy. Edit fewer parameters (Field(parameters=...)), or "
-                'smooth with method="explicit".'
+                f"solved for, but the step has a {type(energy).__name__} energy. Edit fewer parameters "
+                '(Field(parameters=...)), or smooth with method="explicit".'
             )
         system.add_operator(energy.operator(space))
     return system
