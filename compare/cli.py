@@ -6,6 +6,7 @@ exit code 2, with nothing written. A case that fails while it runs is a row of t
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
@@ -101,6 +102,9 @@ Command = Run | Shapes | Fit | Report | Figures
 
 def main(arguments: list[str] | None = None) -> NoReturn:
     """Run the command line and exit: 0 done, 1 a case failed, 2 the input cannot be used, 130 interrupted."""
+    # Threads that wait for each other by spinning starve when anything else runs: on two busy cores, a fit took fifteen
+    # times as long. OpenMP reads this when torch is imported, which is later.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     arguments = sys.argv[1:] if arguments is None else arguments
     if arguments == ["--version"]:
         from importlib.metadata import version
@@ -294,8 +298,6 @@ def _require_run_folder(folder: Path, resume: bool) -> None:
 
 def _require_folder_for(path: Path) -> None:
     """The nearest folder above that exists must be one, and writable."""
-    import os
-
     above = path.absolute().parent
     while not above.exists():
         above = above.parent

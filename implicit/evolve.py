@@ -317,8 +317,9 @@ def _trial(
         else:
             last = _Trial(solution, moved, way, arrived_at, arrived, reach, solves)
             miss, size = _miss(way, arrived_at - carried, arrived)
-            # A larger miss than what the step leaves undone anyway is not worth the smaller residual.
-            allowed = max(problem.allowed_miss * size, solution.residual)
+            # A larger miss than what the step leaves undone anyway is not worth the smaller residual; and beyond a fifth
+            # of the motion the linear model says little about the constraints.
+            allowed = max(problem.allowed_miss * size, min(solution.residual, 0.2 * size))
             good = miss <= allowed and bool(arrived.double().mean() > 0.995)
             if good:
                 trust.after(miss / allowed)
@@ -419,6 +420,7 @@ class _Guard:
     def restore(self, field: Field, system: LeastSquares, space: DeformationSpace) -> Field | EditStatus:
         """Newton's method on the measured values, each correction the one that disturbs the step least."""
         C: Tensor | None = None
+        last = float("inf")
         for _ in range(self.iterations):
             try:
                 self.sample = surface_quadrature(field, self.resolution)
@@ -428,8 +430,10 @@ class _Guard:
             self.gap = max(abs(g) / s for g, s in zip(gaps, self._scales, strict=True))
             if self.gap <= self._tolerance:
                 return field
-            if C is None:  # the corrections are small, so one set of sensitivities serves them all
+            if C is None or self.gap > 0.1 * last:
+                # Near the target one set of sensitivities serves all further corrections.
                 C = self._sensitivities(field, space.size)
+            last = self.gap
             change = system.correction(C, field.theta.new_tensor(gaps))[: space.parameters]
             if not field.require_finite(field.theta + change):
                 return EditStatus.NOT_FINITE

@@ -1,6 +1,11 @@
 """Settings for all tests: examples that do not change from run to run, and no limit on the time of one."""
 
+import os
+
 from hypothesis import settings
+
+# OpenMP reads it when torch is imported; see compare.cli.main.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 settings.register_profile("reproducible", derandomize=True, deadline=None)
 settings.load_profile("reproducible")

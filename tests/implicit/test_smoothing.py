@@ -77,3 +77,12 @@ def test_a_sphere_that_vanishes_ends_with_a_status():
     assert edit.status is not EditStatus.DONE
     assert 8 <= len(edit.history) <= 13
     assert torch.isfinite(edit.field.theta).all()
+
+
+@pytest.mark.parametrize("name", ["spot", "cactus", "bracket"])
+def test_coarse_settings_hold_the_volume_of_real_shapes(name):
+    """A long step, few points, a coarse quadrature: the restoration must still converge."""
+    field = shapes.bundled(name).to(torch.float64)
+    edit = smooth(field, steps=2, step_size=1e-3, points=1000, resolution=32, constraints=(Volume(),))
+    assert edit.status is EditStatus.DONE
+    assert max(row["constraint_gap"] for row in edit.history) < 1e-8
