@@ -317,9 +317,10 @@ def _trial(
         else:
             last = _Trial(solution, moved, way, arrived_at, arrived, reach, solves)
             miss, size = _miss(way, arrived_at - carried, arrived)
-            # A larger miss than what the step leaves undone anyway is not worth the smaller residual; and beyond a fifth
-            # of the motion the linear model says little about the constraints.
-            allowed = max(problem.allowed_miss * size, min(solution.residual, 0.2 * size))
+            # A larger miss than what the step leaves undone anyway is not worth the smaller residual; and where there
+            # are constraints, beyond a fifth of the motion the linear model says too little about them.
+            undone = solution.residual if fixed is None else min(solution.residual, 0.2 * size)
+            allowed = max(problem.allowed_miss * size, undone)
             good = miss <= allowed and bool(arrived.double().mean() > 0.995)
             if good:
                 trust.after(miss / allowed)
