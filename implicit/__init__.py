@@ -13,9 +13,10 @@ from implicit.geometric import geometric_edit
 from implicit.models import Siren
 from implicit.regions import Along, Ball, Box, HalfSpace, Handle, NearPoints, Region, RigidMotion
 from implicit.rigid import rigid_edit
+from implicit.sampling import sample_surface
 from implicit.sensitivity import adjoint, basis, normal_displacement
 from implicit.smoothing import smooth
-from implicit.surface import SurfaceSample, sample_surface, surface_quadrature
+from implicit.surface import SurfaceSample, surface_quadrature
 
 __all__ = [
     "Along",

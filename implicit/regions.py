@@ -179,9 +179,9 @@ class Handle:
             moved = motion.at(fraction, points)
         elif isinstance(motion, Along):
             distance = motion.distance(points) if callable(motion.distance) else motion.distance
-            moved = points + fraction * torch.as_tensor(distance).to(points).reshape(-1, 1) * normals
+            moved = points + fraction * _exact(distance, points).reshape(-1, 1) * normals
         else:
-            vectors = torch.as_tensor(motion(points) if callable(motion) else motion).to(points)
+            vectors = _exact(motion(points) if callable(motion) else motion, points)
             if vectors.shape not in (points.shape, points.shape[1:]):
                 raise ValueError(
                     f"A displacement must be a vector of {points.shape[1]} numbers or one a point, but has shape "
@@ -226,10 +226,15 @@ def _sink(distance: Tensor, falloff: float) -> Tensor:
 
 
 def _like(vector: Vector | Tensor, points: Tensor) -> Tensor:
-    value = torch.as_tensor(vector).to(points)
+    value = _exact(vector, points)
     if value.shape[-1] != points.shape[1]:
         raise ValueError(f"The region is in {value.shape[-1]} dimensions, but the points are in {points.shape[1]}.")
     return value
+
+
+def _exact(value: Vector | float, like: Tensor) -> Tensor:
+    """The value in the other's dtype; plain numbers go there without torch's default of single precision."""
+    return value.to(like) if isinstance(value, Tensor) else torch.as_tensor(value, dtype=like.dtype, device=like.device)
 
 
 def _require_positive(what: str, name: str, value: float) -> None:

@@ -19,7 +19,8 @@ from implicit.evolve import Edit, Progress, Row, State, StepProblem, evolve
 from implicit.field import Field
 from implicit.functionals import Functional
 from implicit.regions import Handle
-from implicit.surface import SurfaceSample, sample_surface
+from implicit.sampling import sample_surface
+from implicit.surface import SurfaceSample
 from implicit.tangential import CosineFeatures, TangentialModel
 
 

@@ -20,7 +20,7 @@ from implicit.energies import Energy, NormalTarget, Smoothness
 from implicit.evolve import Edit, Progress, Row, State, StepProblem, evolve
 from implicit.field import Field
 from implicit.functionals import Functional
-from implicit.surface import sample_surface
+from implicit.sampling import sample_surface
 
 
 def smooth(

@@ -56,47 +56,40 @@ def surface_quadrature(field: Field, resolution: int = 64, *, exact_points: bool
     Raises:
         SurfaceError: There is no surface in the bounds, it leaves them, or the gradient vanishes on it.
     """
-    corners, cells = marched_surface(field, resolution)
     reach = 2 * field.size / resolution
-    nodes = _with_middle_nodes(field, corners, cells, reach)
+    nodes = curved_cells(field, resolution)
     points, normals, weights = _curved_rule(nodes)
     keep = weights > 0
     if not exact_points:
         return SurfaceSample(points[keep], normals[keep], weights[keep])
-    return _placed(field, points[keep], weights[keep], reach)
+    return placed(field, points[keep], weights[keep], reach)
 
 
-def sample_surface(
-    field: Field, n: int, *, resolution: int = 64, seed: int = 0, generator: torch.Generator | None = None
-) -> SurfaceSample:
-    """n random points, uniform over the area and evenly spread: one in each of n strips of equal area.
+def curved_cells(field: Field, resolution: int) -> Float[Tensor, "m k d"]:
+    """Nodes of quadratic cells on the surface: six of a triangle, or in the plane three of a segment."""
+    corners, cells = marched_surface(field, resolution)
+    return _with_middle_nodes(field, corners, cells, 2 * field.size / resolution)
 
-    The strips follow a space-filling curve over the extracted mesh, so neighbours in the strip are neighbours
-    on the surface and the spread is far more even than that of independent points.
+
+def cell_points(
+    nodes: Float[Tensor, "m k d"], at: Float[Tensor, "m t"]
+) -> tuple[Float[Tensor, "m d"], Float[Tensor, "m d"]]:
+    """One point in each quadratic cell, and the vector of its normal times the area (or length) it stands for.
 
     Args:
-        n: How many points.
-        resolution: Cells along the longest side of the bounds for the mesh that is sampled.
-        seed: Seed of the random choice, unless a generator is given.
-
-    Returns:
-        Points on the surface, each of weight area / n.
+        nodes: As curved_cells gives them.
+        at: The last barycentric coordinates of each point: two in a triangle, one in a segment.
     """
-    if n < 1:
-        raise ValueError(f"n must be at least 1 point, but is {n}.")
-    generator = torch.Generator().manual_seed(seed) if generator is None else generator
-    corners, cells = marched_surface(field, resolution)
-    corners = corners[cells[_space_filling_order(corners[cells].mean(dim=1), field)]]
-    area = _content(corners)
-    total = area.sum()
-    strip = torch.rand(n, generator=generator, dtype=torch.float64).to(field.theta)
-    place = (torch.arange(n, device=field.device) + strip) * (total / n)
-    face = torch.searchsorted(area.cumsum(0), place).clamp(max=len(area) - 1)
-    points = (_uniform_barycentric(n, field.dimension, generator).to(field.theta)[:, :, None] * corners[face]).sum(1)
-    return _placed(field, points, (total / n).expand(n).clone(), 2 * field.size / resolution)
+    if nodes.shape[2] == 2:
+        shape, slopes = _segment_shapes(at[:, 0])
+    else:
+        shape, slopes = _triangle_shapes(1 - at.sum(dim=1), at[:, 0], at[:, 1])
+    points = torch.einsum("mk,mkd->md", shape, nodes)
+    tangents = torch.einsum("mkt,mkd->mtd", slopes, nodes)
+    return points, _across(tangents)
 
 
-def _placed(field: Field, points: Tensor, weights: Tensor, reach: float) -> SurfaceSample:
+def placed(field: Field, points: Float[Tensor, "n d"], weights: Float[Tensor, " n"], reach: float) -> SurfaceSample:
     """The points moved the last bit to f = 0, with normals; the way is of higher order than the weights' error."""
     points, arrived = newton_to_surface(field, points, reach=reach)
     if not bool(arrived.all()):
@@ -134,15 +127,18 @@ def _curved_rule(nodes: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     shape, slopes, weights = _segment_rule() if plane else _triangle_rule()
     shape, slopes, weights = shape.to(nodes), slopes.to(nodes), weights.to(nodes)
     points = torch.einsum("qk,mkd->mqd", shape, nodes)
-    tangents = torch.einsum("qkt,mkd->mqtd", slopes, nodes)
-    if plane:  # the inside is on the left, so the outward normal is the tangent turned right
-        along = tangents[:, :, 0]
-        across = torch.stack([along[..., 1], -along[..., 0]], dim=-1)
-    else:
-        across = torch.linalg.cross(tangents[:, :, 0], tangents[:, :, 1])
+    across = _across(torch.einsum("qkt,mkd->mqtd", slopes, nodes))
     content = across.norm(dim=-1)
     normals = across / content.clamp(min=torch.finfo(content.dtype).tiny)[..., None]
     return points.flatten(0, 1), normals.flatten(0, 1), (content * weights).flatten()
+
+
+def _across(tangents: Float[Tensor, "*n t d"]) -> Float[Tensor, "*n d"]:
+    """The outward vector square to the tangents, as long as the area or length that they span."""
+    if tangents.shape[-1] == 3:
+        return torch.linalg.cross(tangents[..., 0, :], tangents[..., 1, :])
+    # The inside is on the left, so outward is the tangent turned right.
+    return torch.stack([tangents[..., 0, 1], -tangents[..., 0, 0]], dim=-1)
 
 
 def _triangle_rule() -> tuple[Tensor, Tensor, Tensor]:
@@ -154,8 +150,13 @@ def _triangle_rule() -> tuple[Tensor, Tensor, Tensor]:
             point[corner] = 1 - 2 * a
             barycentric.append(point)
             weights.append(w / 2)
-    L = torch.tensor(barycentric, dtype=torch.float64)
-    L0, L1, L2 = L.T
+    L0, L1, L2 = torch.tensor(barycentric, dtype=torch.float64).T
+    shape, slopes = _triangle_shapes(L0, L1, L2)
+    return shape, slopes, torch.tensor(weights, dtype=torch.float64)
+
+
+def _triangle_shapes(L0: Tensor, L1: Tensor, L2: Tensor) -> tuple[Tensor, Tensor]:
+    """The six quadratic shape functions and their slopes along sides 1 and 2, at barycentric coordinates."""
     shape = torch.stack(
         [L0 * (2 * L0 - 1), L1 * (2 * L1 - 1), L2 * (2 * L2 - 1), 4 * L0 * L1, 4 * L1 * L2, 4 * L2 * L0], dim=1
     )
@@ -163,40 +164,18 @@ def _triangle_rule() -> tuple[Tensor, Tensor, Tensor]:
     # Along side 1, L1 grows and L0 shrinks; along side 2, L2 grows and L0 shrinks.
     first = torch.stack([1 - 4 * L0, 4 * L1 - 1, zero, 4 * (L0 - L1), 4 * L2, -4 * L2], dim=1)
     second = torch.stack([1 - 4 * L0, zero, 4 * L2 - 1, -4 * L1, 4 * L1, 4 * (L0 - L2)], dim=1)
-    return shape, torch.stack([first, second], dim=2), torch.tensor(weights, dtype=torch.float64)
+    return shape, torch.stack([first, second], dim=2)
 
 
 def _segment_rule() -> tuple[Tensor, Tensor, Tensor]:
     """Shape functions (3, 3) of start, end, middle, their slopes (3, 3, 1), and Gauss weights on [0, 1]."""
     nodes, gauss = np.polynomial.legendre.leggauss(3)
-    t = torch.from_numpy((nodes + 1) / 2)
-    shape = torch.stack([(1 - t) * (1 - 2 * t), t * (2 * t - 1), 4 * t * (1 - t)], dim=1)
-    slopes = torch.stack([4 * t - 3, 4 * t - 1, 4 - 8 * t], dim=1)[:, :, None]
+    shape, slopes = _segment_shapes(torch.from_numpy((nodes + 1) / 2))
     return shape, slopes, torch.from_numpy(gauss / 2)
 
 
-def _content(corners: Tensor) -> Tensor:
-    """Area of triangles (m, 3, 3), or length of segments (m, 2, 2)."""
-    if corners.shape[2] == 2:
-        return (corners[:, 1] - corners[:, 0]).norm(dim=1)
-    return torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=1) / 2
-
-
-def _uniform_barycentric(n: int, corners: int, generator: torch.Generator) -> Tensor:
-    """n points uniform in a triangle, or in a segment, as barycentric coordinates."""
-    u = torch.rand(n, 2, generator=generator, dtype=torch.float64)
-    if corners == 2:
-        return torch.stack([1 - u[:, 0], u[:, 0]], dim=1)
-    root = u[:, 0].sqrt()
-    return torch.stack([1 - root, root * (1 - u[:, 1]), root * u[:, 1]], dim=1)
-
-
-def _space_filling_order(centers: Tensor, field: Field) -> Tensor:
-    """Order along the Morton curve, ten bits a coordinate."""
-    unit = (centers - field.bounds[0]) / (field.bounds[1] - field.bounds[0])
-    cells = (unit.clamp(0, 1) * 1023).long()
-    code = torch.zeros(len(centers), dtype=torch.long, device=centers.device)
-    for bit in range(10):
-        for axis in range(field.dimension):
-            code |= ((cells[:, axis] >> bit) & 1) << (bit * field.dimension + axis)
-    return torch.argsort(code, stable=True)
+def _segment_shapes(t: Tensor) -> tuple[Tensor, Tensor]:
+    """The three quadratic shape functions of a segment and their slopes, at t in [0, 1]."""
+    shape = torch.stack([(1 - t) * (1 - 2 * t), t * (2 * t - 1), 4 * t * (1 - t)], dim=1)
+    slopes = torch.stack([4 * t - 3, 4 * t - 1, 4 - 8 * t], dim=1)[:, :, None]
+    return shape, slopes

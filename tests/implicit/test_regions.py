@@ -87,3 +87,9 @@ def test_a_displacement_that_is_not_finite_is_refused():
 def test_weights_outside_zero_and_one_are_refused():
     with pytest.raises(ValueError, match=r"in \[0, 1\]"):
         Handle(lambda x: x[:, 0] * 3, (1, 0, 0)).weights(POINTS)
+
+
+def test_plain_numbers_keep_their_digits():
+    moved = Handle(Ball((0, 0, 0), 1), (0.1, 0.0, 0.0)).position(1.0, POINTS, POINTS)
+    assert float(moved[0, 0]) == 0.1
+    assert float(Handle(Ball((0, 0, 0), 1), Along(0.1)).position(1.0, POINTS, torch.ones_like(POINTS))[0, 0]) == 0.1

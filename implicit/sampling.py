@@ -1,0 +1,163 @@
+"""Random points on the surface: evenly spread, independent and uniform, or as the paper draws them.
+
+The first two start from quadratic cells that follow the surface to third order (implicit.surface), so that drawing in
+a cell by its area, with rejection where its area element varies, is uniform on the surface to the same order.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from implicit.extraction import SurfaceError, newton_to_surface
+from implicit.field import Field
+from implicit.surface import SurfaceSample, cell_points, curved_cells, placed
+
+SampleMethod = Literal["stratified", "uniform", "rejection"]
+
+
+def sample_surface(
+    field: Field,
+    n: int,
+    method: SampleMethod = "stratified",
+    *,
+    resolution: int = 64,
+    seed: int = 0,
+    generator: torch.Generator | None = None,
+) -> SurfaceSample:
+    """n random points on the surface.
+
+    Args:
+        n: How many points.
+        method: "stratified" puts one point in each of n strips of equal area along a space-filling curve, so neighbours
+            keep apart and integrals converge faster; "uniform" draws independent points, uniform over the area;
+            "rejection" is the paper's: points of the bounds near the surface, projected, thinned by farthest-point
+            selection to n.
+        resolution: Cells along the longest side of the bounds for the cells that are sampled; for "rejection" it
+            sets the width of the band, two cells.
+        seed: Of the random choice, unless a generator is given.
+
+    Returns:
+        Points on the surface with equal weights, which sum to its area. Those of "rejection" sum to an estimate of it,
+        and its points are spread evenly by their distance, not by area.
+
+    Raises:
+        SurfaceError: There is no surface in the bounds, or it leaves them.
+    """
+    if n < 1:
+        raise ValueError(f"n must be at least 1 point, but is {n}.")
+    generator = torch.Generator().manual_seed(seed) if generator is None else generator
+    if method == "rejection":
+        return _by_rejection(field, n, resolution, generator)
+    if method not in ("stratified", "uniform"):
+        raise ValueError(f'method must be "stratified", "uniform" or "rejection", but is {method!r}.')
+    nodes = curved_cells(field, resolution)
+    corners = nodes[:, :3] if field.dimension == 3 else nodes[:, :2]
+    if method == "stratified":
+        order = _space_filling_order(corners.mean(dim=1), field)
+        nodes = nodes[order]
+    area, largest = _cell_areas(nodes)
+    total = area.sum()
+    if method == "stratified":
+        strip = torch.rand(n, generator=generator, dtype=torch.float64).to(field.theta)
+        place = (torch.arange(n, device=field.device) + strip) * (total / n)
+        chosen = torch.searchsorted(area.cumsum(0), place).clamp(max=len(area) - 1)
+    else:
+        chosen = torch.multinomial(area.double().cpu(), n, replacement=True, generator=generator).to(field.device)
+    points = torch.empty(n, field.dimension, dtype=field.dtype, device=field.device)
+    waiting = torch.arange(n, device=field.device)
+    while len(waiting):
+        cells = chosen[waiting]
+        at = _uniform_barycentric(len(waiting), field.dimension, generator).to(field.theta)
+        found, across = cell_points(nodes[cells], at)
+        chance = torch.rand(len(waiting), generator=generator, dtype=torch.float64).to(field.theta)
+        taken = chance * largest[cells] <= across.norm(dim=1)
+        points[waiting[taken]] = found[taken]
+        waiting = waiting[~taken]
+    return placed(field, points, (total / n).expand(n).clone(), 2 * field.size / resolution)
+
+
+def _cell_areas(nodes: Tensor) -> tuple[Tensor, Tensor]:
+    """Area (or length) of each quadratic cell, and a bound on its area element per unit of barycentric area.
+
+    The element is sampled on a lattice of the cell; a tenth on top covers what varies between.
+    """
+    if nodes.shape[2] == 2:
+        lattice = torch.linspace(0, 1, 9)[:, None]
+        share = torch.ones(9)
+        share[[0, -1]] = 0.5
+        unit = 1.0
+    else:
+        steps = [(i / 6, j / 6) for i in range(7) for j in range(7 - i)]
+        lattice = torch.tensor(steps)
+        # Trapezoidal weights of the lattice: inside 6, on a side 3, in a corner 1 triangles meet at a node.
+        on = torch.stack([lattice[:, 0] == 0, lattice[:, 1] == 0, (lattice.sum(dim=1) - 1).abs() < 1e-6]).sum(dim=0)
+        share = torch.tensor([6.0, 3.0, 1.0])[on]
+        unit = 0.5
+    elements = torch.stack(
+        [cell_points(nodes, at.to(nodes).expand(len(nodes), -1))[1].norm(dim=1) for at in lattice], dim=1
+    )
+    share = (share / share.sum()).to(nodes)
+    return unit * (elements @ share), 1.1 * elements.amax(dim=1)
+
+
+def _by_rejection(field: Field, n: int, resolution: int, generator: torch.Generator) -> SurfaceSample:
+    """The paper's sampling: draw in the bounds, keep a band about the surface, project, thin out [appendix]."""
+    band = 2 * field.size / resolution
+    lower, upper = field.bounds
+    kept: list[Tensor] = []
+    count, drawn = 0, 0
+    inside = 0
+    while count < 4 * n and drawn < 1000 * n + 1_000_000:
+        draw = torch.rand(max(20_000, 4 * n), field.dimension, generator=generator, dtype=torch.float64).to(field.theta)
+        points = lower + draw * (upper - lower)
+        value, gradient = field.value_and_gradient(points)
+        # To first order the distance is the value over the slope, whatever the scale of the field.
+        near = value.abs() <= band * gradient.norm(dim=1)
+        inside += int(near.sum())
+        moved, arrived = newton_to_surface(field, points[near], reach=2 * band)
+        kept.append(moved[arrived])
+        count += len(kept[-1])
+        drawn += len(points)
+    if count < n:
+        raise SurfaceError(
+            f"Only {count} of {n} points were found on the surface in {drawn} draws. Is there a surface in the bounds?"
+        )
+    points = farthest_points(torch.cat(kept)[: 4 * n], n)
+    # A band of half-width w about an area A has the volume 2 w A.
+    area = float((upper - lower).prod()) * inside / drawn / (2 * band)
+    weights = torch.full_like(points[:, 0], area / n)
+    return SurfaceSample(points, field.normal(points), weights)
+
+
+def farthest_points(points: Float[Tensor, "m d"], n: int) -> Float[Tensor, "n d"]:
+    """n of the points, each the farthest from those before it; the first is the first."""
+    distance = torch.full_like(points[:, 0], float("inf"))
+    chosen = torch.zeros(n, dtype=torch.long, device=points.device)
+    for k in range(1, n):
+        distance = torch.minimum(distance, (points - points[chosen[k - 1]]).square().sum(dim=1))
+        chosen[k] = distance.argmax()
+    return points[chosen]
+
+
+def _uniform_barycentric(n: int, dimension: int, generator: torch.Generator) -> Tensor:
+    """The last barycentric coordinates of n points uniform in a triangle (two), or in a segment (one)."""
+    u = torch.rand(n, dimension - 1, generator=generator, dtype=torch.float64)
+    if dimension == 2:
+        return u
+    root = u[:, 0].sqrt()
+    return torch.stack([root * (1 - u[:, 1]), root * u[:, 1]], dim=1)
+
+
+def _space_filling_order(centers: Tensor, field: Field) -> Tensor:
+    """Order along the Morton curve, ten bits a coordinate."""
+    unit = (centers - field.bounds[0]) / (field.bounds[1] - field.bounds[0])
+    cells = (unit.clamp(0, 1) * 1023).long()
+    code = torch.zeros(len(centers), dtype=torch.long, device=centers.device)
+    for bit in range(10):
+        for axis in range(field.dimension):
+            code |= ((cells[:, axis] >> bit) & 1) << (bit * field.dimension + axis)
+    return torch.argsort(code, stable=True)
