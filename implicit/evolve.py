@@ -105,6 +105,7 @@ class StepProblem:
     energies: Sequence[Energy]
     damping: float | None = None  # fixed; None lets the loop choose it by the linearity error
     first_damping: float = 1e-7  # where that choice begins, relative to the trace of the normal matrix
+    least_damping: float = 0.0  # how far it may fall in later steps, in the same unit
     allowed_miss: float = 0.02  # nonlinear part of the motion that is accepted, relative to the motion
     # Motion along the surface that the normal motion leaves open, of the carried points (all, tracked ones last).
     slide: Callable[[Tensor, Tensor], Tensor] | None = None
@@ -323,7 +324,7 @@ def _trial(
             allowed = max(problem.allowed_miss * size, undone)
             good = miss <= allowed and bool(arrived.double().mean() > 0.995)
             if good:
-                trust.after(miss / allowed)
+                trust.after(miss / allowed, problem.least_damping)
         if good or problem.damping is not None:
             break
         damping = trust.raise_damping()
@@ -367,11 +368,11 @@ class _Trust:
         self.damping *= 10
         return self.damping
 
-    def after(self, ratio: float) -> None:
+    def after(self, ratio: float, least: float) -> None:
         """After a good try, with the ratio of its nonlinear part to what is allowed."""
         assert self.damping is not None
         if ratio < 0.3:
-            self.damping = max(self.damping / 10**0.5, self._least)
+            self.damping = max(self.damping / 10**0.5, self._least, least)
 
 
 class _Guard:
