@@ -12,6 +12,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from datetime import datetime
+from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
@@ -59,16 +60,22 @@ class Shapes:
 
 @dataclass
 class Fit:
-    """Fit a neural field to a mesh."""
+    """Fit a neural field to a mesh, and write how good it is beside it, as .json."""
 
     mesh: tyro.conf.Positional[Path]
     """The mesh: .obj, .off, .ply or .stl."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Where the field goes: a file ending in .safetensors that is not there yet."""
     width: int = 32
-    """Sines in each of the three hidden layers."""
-    steps: int = 3000
+    """Units in each hidden layer."""
+    depth: int = 3
+    """Hidden layers."""
+    activation: Literal["sine", "softplus", "relu"] = "sine"
+    """Of the hidden layers."""
+    steps: int = 4000
     """Of the training."""
+    checkpoint: Path | None = None
+    """A file to keep the state of the training in; if it is there already, the training goes on from it."""
     seed: int = 0
     """Of the samples and the first weights."""
     quiet: bool = False
@@ -221,28 +228,43 @@ def fit(command: Fit) -> int:
     _require_folder_for(command.output)
     if command.mesh.suffix.lower() not in MESH_SUFFIXES:
         raise InputError(f"A mesh is a file ending in {', '.join(MESH_SUFFIXES)}, but got {command.mesh}.")
-    if command.width < 1 or command.steps < 1:
-        raise InputError(f"--width and --steps must be at least 1, but are {command.width} and {command.steps}.")
+    if min(command.width, command.depth, command.steps) < 1:
+        raise InputError(
+            f"--width, --depth and --steps must be at least 1, but are {command.width}, {command.depth} and "
+            f"{command.steps}."
+        )
+    if command.checkpoint is not None:
+        _require_folder_for(command.checkpoint)
+        command.checkpoint.parent.mkdir(parents=True, exist_ok=True)
     say = _silent if command.quiet else _printer(False)
     for sentence in check_shape(str(command.mesh)):
         say(sentence)
 
     import implicit
+    import meshref
     from compare.fit import fit_mesh
-    from compare.subject import load_mesh
+    from compare.records import replace_file
 
-    V, F, _ = load_mesh(str(command.mesh))
+    V, F = meshref.read_mesh(command.mesh)
     with _bars(command.quiet) as bars:
         tell = _teller(bars, _task(bars, command.mesh.name, None))
-        field, quality = fit_mesh(
-            V,
-            F,
-            width=command.width,
-            steps=command.steps,
-            seed=command.seed,
-            progress=lambda step, steps, _: tell(step, steps, "fitting a field"),
-        )
+        try:
+            field, quality = fit_mesh(
+                V,
+                F,
+                width=command.width,
+                depth=command.depth,
+                activation=command.activation,
+                steps=command.steps,
+                seed=command.seed,
+                bodies="refuse",
+                checkpoint=command.checkpoint,
+                progress=lambda step, steps, _: tell(step, steps, "fitting a field"),
+            )
+        except ValueError as error:  # a checkpoint of another fit, say
+            raise InputError(str(error)) from error
     implicit.save_field(field, command.output)
+    replace_file(command.output.with_suffix(".json"), dumps(quality.to_dict(), indent=2).encode())
     say(f"{command.output}: {quality.parameters} parameters, {quality.seconds:.0f} s. {quality.verdict}")
     return 0
 

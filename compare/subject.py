@@ -99,7 +99,12 @@ def load_mesh(path: str) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"], li
     import meshref
 
     try:
-        V, F, report = meshref.mend_mesh(*meshref.read_mesh(path), bodies="refuse")
+        V, F, report = meshref.mend_mesh(*meshref.read_mesh(path))
+        if report.bodies > 1:
+            raise InputError(
+                f"{path}: a comparison needs one body, but the mesh holds {report.bodies} that are not connected. Save "
+                "one of them in a file of its own."
+            )
         V, F = meshref.check_mesh(V, F, closed=True)
     except meshref.MeshError as error:
         raise InputError(f"{path}: {error}") from error

@@ -90,7 +90,7 @@ BROKEN = {
     "text named .safetensors": ("a.safetensors", with_text, "a.safetensors"),
     "NaN coordinates": ("a.off", with_nan, "must be finite"),
     "index out of range": ("a.off", with_wrong_index, "vertex 162"),
-    "two bodies": ("a.off", with_two_bodies, "bodies"),
+    "two bodies": ("a.off", with_two_bodies, "needs one body"),
     "no faces": ("a.off", with_a_point_cloud, "0 faces"),
 }
 

@@ -8,6 +8,7 @@ import time
 
 import pytest
 
+import meshref
 from compare.records import read
 
 
@@ -101,3 +102,30 @@ def test_the_version_is_that_of_the_distribution(tmp_path):
     from importlib.metadata import version
 
     assert command("--version", cwd=tmp_path).stdout.strip() == version("implicit-vs-mesh")
+
+
+def test_a_fit_says_how_good_it_is_and_goes_on_from_its_checkpoint(tmp_path):
+    V, F = meshref.icosphere(3, radius=2.0)
+    meshref.write_mesh(tmp_path / "ball.obj", V, F[:, ::-1])
+    options = ("--width", "8", "--steps", "60", "--checkpoint", "state.safetensors", "--quiet")
+    first = command("fit", "ball.obj", "-o", "a.safetensors", *options, cwd=tmp_path)
+    again = command("fit", "ball.obj", "-o", "b.safetensors", *options, cwd=tmp_path)
+    assert (first.returncode, again.returncode) == (0, 0), first.stderr + again.stderr
+    said = json.loads((tmp_path / "a.json").read_text())
+    assert "turned all" in said["mended"][0]
+    assert said["steps"] == 60
+    # The second had nothing left to train: the same weights, from the checkpoint.
+    assert (tmp_path / "a.safetensors").read_bytes() == (tmp_path / "b.safetensors").read_bytes()
+
+
+def test_a_checkpoint_of_another_fit_is_refused(tmp_path):
+    V, F = meshref.icosphere(2)
+    meshref.write_mesh(tmp_path / "ball.obj", V, F)
+    (tmp_path / "state.safetensors").write_bytes(b"no checkpoint")
+    result = command(
+        "fit", "ball.obj", "-o", "a.safetensors", "--steps", "5", "--checkpoint", "state.safetensors", cwd=tmp_path
+    )
+    assert result.returncode == 2
+    assert "state.safetensors" in result.stderr
+    assert "Traceback" not in result.stderr
+    assert not (tmp_path / "a.safetensors").exists()
