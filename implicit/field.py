@@ -26,6 +26,8 @@ CUBE: Bounds = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
 # network 1024 wide stay within a few hundred megabytes.
 CHUNK = 32768
 
+FORMAT = "implicit-field-1"
+
 
 @dataclass(frozen=True)
 class Units:
@@ -371,15 +373,17 @@ def save_field(field: Field, path: str | PathLike[str]) -> None:
     for block in field.layout:
         state[block.name] = field.theta[block.where].view(block.shape).cpu().contiguous()
     header = {
-        "format": "implicit-field-1",
-        "architecture": json.dumps(describe()),
-        "parameters": json.dumps([block.name for block in field.layout]),
-        "level": repr(field.level),
+        "format": FORMAT,
+        "architecture": describe(),
+        "parameters": [block.name for block in field.layout],
+        "level": field.level,
         "inside": field.inside,
-        "bounds": json.dumps(field.bounds.tolist()),
-        "units": json.dumps([field.units.scale, list(field.units.offset)]),
+        "bounds": field.bounds.tolist(),
+        "units": [field.units.scale, list(field.units.offset)],
     }
-    replace_file(path, save({name: tensor.clone() for name, tensor in state.items()}, metadata=header))
+    # One entry: safetensors writes several in any order, and the same field should give the same bytes.
+    metadata = {"field": json.dumps(header)}
+    replace_file(path, save({name: tensor.clone() for name, tensor in state.items()}, metadata=metadata))
 
 
 def load_field(path: str | PathLike[str], *, device: torch.device | str = "cpu") -> Field:
@@ -401,29 +405,34 @@ def load_field(path: str | PathLike[str], *, device: torch.device | str = "cpu")
         )
     try:
         with safe_open(fspath(path), framework="pt") as file:
-            header = file.metadata() or {}
+            metadata = file.metadata() or {}
             state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  a safe_open is no dict
     except SafetensorError as error:
         raise ValueError(
             f"{fspath(path)} is not a whole safetensors file ({error}). It may have been cut short: write it again."
         ) from error
-    if header.get("format") != "implicit-field-1":
+    try:
+        header = json.loads(metadata.get("field", "{}"))
+        found = header.get("format")
+    except (ValueError, AttributeError):
+        found = None
+    if found != FORMAT:
         raise ValueError(
-            f"{fspath(path)} holds no field: its format is {header.get('format')!r}, wanted 'implicit-field-1'. "
-            "For a published decoder use load_checkpoint."
+            f"{fspath(path)} holds no field: its format is {found!r}, wanted {FORMAT!r}. A field is written by "
+            "save_field; the weights of another program belong in its own module, given to Field."
         )
     try:
-        module = build(json.loads(header["architecture"]))
-        scale, offset = json.loads(header["units"])
+        module = build(header["architecture"])
+        scale, offset = header["units"]
         dtypes = {tensor.dtype for tensor in state.values() if tensor.is_floating_point()}
         module = module.to(device=device, dtype=dtypes.pop() if len(dtypes) == 1 else None)
         module.load_state_dict(state)
         return Field(
             module,
-            parameters=json.loads(header["parameters"]),
+            parameters=header["parameters"],
             level=float(header["level"]),
-            inside=header["inside"],  # type: ignore[arg-type]
-            bounds=json.loads(header["bounds"]),
+            inside=header["inside"],
+            bounds=header["bounds"],
             units=Units(scale, tuple(offset)),
         )
     except (KeyError, TypeError, RuntimeError, ValueError) as error:
