@@ -222,7 +222,7 @@ def _sink(distance: Tensor, falloff: float) -> Tensor:
     if falloff <= 0:
         return (distance <= 0).to(distance)
     t = (distance / falloff).clamp(0, 1)
-    return 1 - t**3 * (10 - 15 * t + 6 * t**2)
+    return (1 - t**3 * (10 - 15 * t + 6 * t**2)).clamp(0, 1)  # rounding leaves the range near both ends
 
 
 def _like(vector: Vector | Tensor, points: Tensor) -> Tensor:

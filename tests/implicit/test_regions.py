@@ -93,3 +93,9 @@ def test_plain_numbers_keep_their_digits():
     moved = Handle(Ball((0, 0, 0), 1), (0.1, 0.0, 0.0)).position(1.0, POINTS, POINTS)
     assert float(moved[0, 0]) == 0.1
     assert float(Handle(Ball((0, 0, 0), 1), Along(0.1)).position(1.0, POINTS, torch.ones_like(POINTS))[0, 0]) == 0.1
+
+
+def test_falloff_stays_between_zero_and_one_in_single_precision():
+    points = torch.linspace(0, 1.2, 20_001)[:, None] * torch.tensor([1.0, 0, 0])
+    weights = Handle(Ball((0, 0, 0), 0.2, falloff=0.3), Along(0.1)).weights(points)
+    assert 0 <= float(weights.min()) <= float(weights.max()) <= 1
