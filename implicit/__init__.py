@@ -8,7 +8,7 @@ from implicit.evolve import Edit, EditStatus
 from implicit.extraction import SurfaceError, extract_mesh, project_to_surface
 from implicit.field import Field, Units, decoder_field, load_field, save_field
 from implicit.fit import FitStatus, Training, fit_field
-from implicit.functionals import Area, Functional, SurfaceIntegral, Volume, VolumeIntegral
+from implicit.functionals import Area, Functional, Integral, SurfaceIntegral, Volume, VolumeIntegral, integrate
 from implicit.geometric import geometric_edit
 from implicit.models import Siren
 from implicit.regions import Along, Ball, Box, HalfSpace, Handle, NearPoints, Region, RigidMotion
@@ -30,6 +30,7 @@ __all__ = [
     "Functional",
     "HalfSpace",
     "Handle",
+    "Integral",
     "NearPoints",
     "Region",
     "RigidMotion",
@@ -47,6 +48,7 @@ __all__ = [
     "extract_mesh",
     "fit_field",
     "geometric_edit",
+    "integrate",
     "load_field",
     "normal_displacement",
     "project_to_surface",

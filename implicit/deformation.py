@@ -95,7 +95,7 @@ class DeformationSpace:
         start = 0
         for part in row_blocks(points, self.size):
             length = self.field.gradient_length(self.field.gradient(part))
-            rows = parameter_gradient(self.field, part) / -length[:, None]
+            rows = parameter_gradient(self.field, part).div_(-length[:, None])
             if self.size > self.parameters:
                 rows = torch.cat([rows, rows.new_zeros(len(part), self.size - self.parameters)], dim=1)
             yield slice(start, start + len(part)), rows

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from implicit.field import Field
 from implicit.sensitivity import adjoint
-from implicit.surface import SurfaceSample
+from implicit.surface import SurfaceSample, surface_quadrature
 
 Density = Callable[[Tensor], Tensor]
 
@@ -124,6 +124,29 @@ class SurfaceIntegral(Functional):
             values = _density(self.g, x, "g")
             slope = torch.autograd.grad(values.sum(), x)[0] if values.requires_grad else torch.zeros_like(x)
         return (slope * sample.normals).sum(dim=1) + field.mean_curvature(sample.points) * values.detach()
+
+
+@dataclass(frozen=True)
+class Integral:
+    """A functional's value, and an estimate of its error from half the resolution."""
+
+    value: float
+    error: float
+
+
+def integrate(field: Field, functional: Functional, resolution: int = 64) -> Integral:
+    """The functional of the field's surface at a resolution, with an error estimate.
+
+    The quadrature's error falls with at least the third power of the cell, so the value at half the resolution is off
+    by eight times as much or more: a seventh of the difference bounds the error once the cells resolve the shape.
+
+    Raises:
+        SurfaceError: As for surface_quadrature.
+    """
+    fine, coarse = (
+        functional.value(field, surface_quadrature(field, cells)) for cells in (resolution, max(4, resolution // 2))
+    )
+    return Integral(fine, abs(fine - coarse) / 7)
 
 
 def volume_terms(sample: SurfaceSample) -> Float[Tensor, " n"]:

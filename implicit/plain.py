@@ -9,8 +9,9 @@ and along a direction of space, with dots for derivatives (a_0' = the direction)
 
     (df/dW_l)' = d_l' a_{l-1}^T + d_l a_{l-1}'^T,    d_l' = s_l' (W_{l+1}^T d_{l+1}') + s_l'' z_l' (W_{l+1}^T d_{l+1}).
 
-Everything but the outer products is small, so this costs little more than writing the result: against torch.func's
-forward over reverse, which repeats the whole pass for each direction, an eighth of the time for f and its slopes.
+Everything but the outer products is small, so this costs little more than writing the result. Measured on the paper's
+network: a twelfth of the time of torch.func's vmap of grad for df/dtheta at 10,000 points, and a sixth to a tenth of
+its forward over reverse for the slopes at 1000.
 """
 
 from __future__ import annotations

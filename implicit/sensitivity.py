@@ -43,13 +43,13 @@ def basis(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n p"]:
     """
     points = field.require_points(points)
     blocks = [basis_block(field, part) for part in row_blocks(points, len(field.theta))]
-    return torch.cat(blocks) if blocks else points.new_zeros(0, len(field.theta))
+    return blocks[0] if len(blocks) == 1 else torch.cat(blocks)
 
 
 def basis_block(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n p"]:
     """As `basis`, in one piece."""
     length = field.gradient_length(field.gradient(points))
-    return parameter_gradient(field, points) / -length[:, None]
+    return parameter_gradient(field, points).div_(-length[:, None])
 
 
 def parameter_gradient(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n p"]:

@@ -361,7 +361,7 @@ class _Primal(_Direct):
 
     @classmethod
     def of(cls, normal: Tensor, ridge: Tensor) -> _Primal | None:
-        damped = normal.double().clone()
+        damped = normal.to(torch.float64, copy=True)
         damped.diagonal().add_(ridge)
         factor, info = torch.linalg.cholesky_ex(damped)
         return cls(factor) if int(info) == 0 else None

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from implicit import Area, SurfaceIntegral, Volume, VolumeIntegral, shapes, surface_quadrature
+from implicit import Area, SurfaceIntegral, Volume, VolumeIntegral, integrate, shapes, surface_quadrature
 
 
 def moment(points):
@@ -71,3 +71,11 @@ def test_a_density_of_the_wrong_shape_is_refused(wobbly):
     sample = surface_quadrature(wobbly, 16)
     with pytest.raises(ValueError, match="h must give one value a point"):
         VolumeIntegral(lambda x: x).value(wobbly, sample)
+
+
+@pytest.mark.parametrize("resolution", [24, 48, 96])
+def test_the_error_estimate_bounds_the_error(resolution):
+    field = shapes.torus(0.6, 0.25)
+    for functional, exact in ((Volume(), 2 * math.pi**2 * 0.6 * 0.25**2), (Area(), 4 * math.pi**2 * 0.6 * 0.25)):
+        found = integrate(field, functional, resolution)
+        assert abs(found.value - exact) <= found.error < 1e-3 * exact
