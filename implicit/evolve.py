@@ -350,7 +350,7 @@ def _miss(way: Tensor, achieved: Tensor, arrived: Tensor) -> tuple[float, float]
 class _Trust:
     """Damping relative to the trace, adapted as in Levenberg-Marquardt: the linear model decides."""
 
-    tries = 8
+    tries = 16
 
     def __init__(self, dtype: torch.dtype) -> None:
         # Rounding in the normal matrix itself is about the precision times its trace.
@@ -365,7 +365,7 @@ class _Trust:
     def raise_damping(self) -> float:
         """After a try whose nonlinear part was too large."""
         assert self.damping is not None
-        self.damping *= 10
+        self.damping *= 10**0.5
         return self.damping
 
     def after(self, ratio: float, least: float) -> None:
