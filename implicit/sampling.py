@@ -55,10 +55,9 @@ def sample_surface(
     if method not in ("stratified", "uniform"):
         raise ValueError(f'method must be "stratified", "uniform" or "rejection", but is {method!r}.')
     nodes = curved_cells(field, resolution)
-    corners = nodes[:, :3] if field.dimension == 3 else nodes[:, :2]
     if method == "stratified":
-        order = _space_filling_order(corners.mean(dim=1), field)
-        nodes = nodes[order]
+        corners = nodes[:, : field.dimension]  # the nodes between them come after
+        nodes = nodes[_space_filling_order(corners.mean(dim=1), field)]
     area, largest = _cell_areas(nodes)
     total = area.sum()
     if method == "stratified":

@@ -119,6 +119,7 @@ class LeastSquares:
         self._right = torch.zeros(size, dtype=torch.float64, device=like.device)
         self._square = 0.0
         self._weight = 0.0
+        self._trace: float | None = None  # of what was added so far
         self._factor: _Factor | None = None
 
     def add(self, rows: Rows) -> None:
@@ -150,6 +151,7 @@ class LeastSquares:
         self._count(operator.adjoint(operator.weights * operator.target), operator.target, operator.weights)
 
     def _count(self, right: Tensor, target: Tensor, weights: Tensor) -> None:
+        self._trace = None
         self._right += right.double()
         self._square += float((weights * target * target).sum())
         self._weight += float(weights.sum())
@@ -160,11 +162,15 @@ class LeastSquares:
 
     def trace(self) -> float:
         """Trace of the normal matrix, the scale that a relative damping refers to."""
-        if self._operators:
-            # Hutchinson's estimate: the mean of z^T G z over random signs z.
-            z = _signs(self.size, 4, self._seed).to(self._like)
-            return float(sum(v @ self._apply(v) for v in z.T) / z.shape[1])
-        return float(self.diagonal().sum())
+        # Kept from one solve to the next: a step tries several dampings, and products cost passes of the network.
+        if self._trace is None:
+            if self._operators:
+                # Hutchinson's estimate: the mean of z^T G z over random signs z.
+                z = _signs(self.size, 4, self._seed).to(self._like)
+                self._trace = float(sum(v @ self._apply(v) for v in z.T) / z.shape[1])
+            else:
+                self._trace = float(self.diagonal().sum())
+        return self._trace
 
     def diagonal(self) -> Float[Tensor, " n"]:
         """Diagonal of the normal matrix, of the equations that have a matrix."""
