@@ -13,7 +13,7 @@ from implicit.geometric import geometric_edit
 from implicit.models import Siren
 from implicit.regions import Along, Ball, Box, HalfSpace, Handle, NearPoints, Region, RigidMotion
 from implicit.rigid import rigid_edit
-from implicit.sampling import sample_surface
+from implicit.sampling import sample_surface, transport
 from implicit.sensitivity import adjoint, basis, normal_displacement
 from implicit.smoothing import smooth
 from implicit.surface import SurfaceSample, surface_quadrature
@@ -57,4 +57,5 @@ __all__ = [
     "save_field",
     "smooth",
     "surface_quadrature",
+    "transport",
 ]

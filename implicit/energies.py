@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 import torch
@@ -19,6 +20,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.deformation import DeformationSpace
+from implicit.plain import is_plain, plain_gram
 from implicit.sensitivity import adjoint, normal_displacement
 from implicit.solve import Operator, Rows
 
@@ -51,8 +53,9 @@ class NormalTarget:
             theta = adjoint(field, self.points, weights, lengths)
             return torch.cat([theta, theta.new_zeros(space.size - p)])
 
+        gram = partial(plain_gram, field, self.points, 1 / lengths) if is_plain(field) else None
         return Operator(
-            lambda x: normal_displacement(field, self.points, x[:p], lengths), back, self.target, self.weights
+            lambda x: normal_displacement(field, self.points, x[:p], lengths), back, self.target, self.weights, gram
         )
 
 

@@ -23,6 +23,7 @@ from implicit.energies import Energy, NormalTarget
 from implicit.extraction import SurfaceError, newton_to_surface
 from implicit.field import Field
 from implicit.functionals import Functional
+from implicit.plain import is_plain
 from implicit.solve import DENSE_LIMIT, LeastSquares, Solution, SolveStatus
 from implicit.surface import SurfaceSample, surface_quadrature
 
@@ -249,18 +250,18 @@ def _take(
 
 
 def _assemble(problem: StepProblem) -> LeastSquares:
-    """The step's least squares: its rows, or for a network too large for a matrix, their products."""
-    space = problem.space
-    if space.size <= DENSE_LIMIT:
+    """The step's least squares: its rows, or their products where these cost less or the rows would not fit."""
+    space, energies = problem.space, problem.energies
+    if space.size <= DENSE_LIMIT and not _is_cheaper_by_products(problem):
         system = LeastSquares(space.size, space.field.theta)
-        for energy in problem.energies:
+        for energy in energies:
             for rows in energy.rows(space):
                 system.add(rows)
         return system
     # A sketch of the spectrum costs as many products as it has columns, each a forward and a backward pass: here
     # plain conjugate gradients are through with less. Each step sees what the last one missed, so 1e-4 is enough.
-    system = LeastSquares(space.size, space.field.theta, method="cg", rank=0, tolerance=1e-4)
-    for energy in problem.energies:
+    system = LeastSquares(space.size, space.field.theta, rank=0, tolerance=1e-4)
+    for energy in energies:
         if not isinstance(energy, NormalTarget):
             raise ValueError(
                 f"With {space.size} unknowns (more than {DENSE_LIMIT}) only targets along the normal can be "
@@ -269,6 +270,16 @@ def _assemble(problem: StepProblem) -> LeastSquares:
             )
         system.add_operator(energy.operator(space))
     return system
+
+
+def _is_cheaper_by_products(problem: StepProblem) -> bool:
+    """Whether there is one target along the normal, at fewer points than unknowns, of a plain network.
+
+    The products of its rows with each other then come from those of the layers (implicit.plain).
+    """
+    if len(problem.energies) != 1 or not isinstance(problem.energies[0], NormalTarget):
+        return False
+    return len(problem.energies[0].points) < problem.space.size and is_plain(problem.space.field)
 
 
 @dataclass(frozen=True, eq=False)

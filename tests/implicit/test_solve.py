@@ -26,6 +26,11 @@ def by_numpy(rows, damping, C, r):
     return np.linalg.solve(kkt, np.concatenate([A.T @ (w * y), r.numpy()]))[:n]
 
 
+def by_products(rows, gram=True):
+    A = rows.matrix
+    return Operator(lambda x: A @ x, lambda w: A.T @ w, rows.target, rows.weights, (lambda: A @ A.T) if gram else None)
+
+
 @pytest.mark.parametrize("method", ["primal", "dual", "qr", "cg"])
 @pytest.mark.parametrize("shape", [(60, 20), (20, 60), (30, 30)])
 def test_every_method_solves_the_kkt_system(method, shape):
@@ -84,10 +89,35 @@ def test_rank_is_that_of_the_rows():
 def test_products_alone_are_enough():
     rows, C, r = problem(40, 25)
     system = LeastSquares(25, rows.matrix, rank=5)
-    system.add_operator(Operator(lambda x: rows.matrix @ x, lambda w: rows.matrix.T @ w, rows.target, rows.weights))
+    system.add_operator(by_products(rows, gram=False))
     solution = system.solve(0.05, (C, r))
     np.testing.assert_allclose(solution.x.numpy(), by_numpy(rows, 0.05, C, r), rtol=1e-8, atol=1e-10)
     assert solution.method == "cg"
+
+
+def test_products_of_the_equations_with_each_other_give_the_dual():
+    rows, C, r = problem(25, 40)
+    system = LeastSquares(40, rows.matrix)
+    system.add_operator(by_products(rows))
+    assert system.trace() == pytest.approx(float((rows.weights[:, None] * rows.matrix**2).sum()))
+    solution = system.solve(0.05, (C, r))
+    np.testing.assert_allclose(solution.x.numpy(), by_numpy(rows, 0.05, C, r), rtol=1e-8, atol=1e-10)
+    assert solution.method == "dual"
+    assert solution.rank == pytest.approx(least_squares([rows], 40, rows.matrix, damping=0.05).rank)
+
+
+def test_products_go_to_conjugate_gradients_where_the_dual_cannot_take_them():
+    rows, _, _ = problem(25, 40)
+    uneven = torch.linspace(0.1, 1, 40, dtype=torch.float64)
+    system = LeastSquares(40, rows.matrix)
+    system.add_operator(by_products(rows))
+    assert system.solve(uneven).method == "cg"
+    system.add_operator(by_products(rows))
+    assert system.solve(0.1).method == "cg"
+    dual = LeastSquares(40, rows.matrix, method="dual")
+    dual.add_operator(by_products(rows, gram=False))
+    with pytest.raises(ValueError, match="know their Gram matrix"):
+        dual.solve(0.1)
 
 
 def test_auto_takes_the_smaller_form():
