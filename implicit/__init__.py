@@ -5,8 +5,8 @@ Sensitivity, ICLR 2023, arXiv:2304.12951].
 """
 
 from implicit.evolve import Edit, EditStatus
-from implicit.extraction import SurfaceError, extract_mesh, project_to_surface
-from implicit.field import Field, Units, decoder_field, load_field, save_field
+from implicit.extraction import extract_mesh, project_to_surface
+from implicit.field import Field, SurfaceError, Units, decoder_field, load_field, save_field
 from implicit.fit import FitStatus, Training, fit_field
 from implicit.functionals import Area, Functional, Integral, SurfaceIntegral, Volume, VolumeIntegral, integrate
 from implicit.geometric import geometric_edit

@@ -20,8 +20,8 @@ from torch import Tensor
 
 from implicit.deformation import DeformationSpace
 from implicit.energies import Energy, NormalTarget
-from implicit.extraction import SurfaceError, newton_to_surface
-from implicit.field import Field
+from implicit.extraction import newton_to_surface
+from implicit.field import Field, SurfaceError
 from implicit.functionals import Functional
 from implicit.plain import is_plain
 from implicit.solve import DENSE_LIMIT, LeastSquares, Solution, SolveStatus

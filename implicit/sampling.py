@@ -15,8 +15,8 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from implicit.extraction import SurfaceError, newton_to_surface, project_to_surface
-from implicit.field import Field
+from implicit.extraction import newton_to_surface, project_to_surface
+from implicit.field import Field, SurfaceError
 from implicit.surface import SurfaceSample, cell_points, curved_cells, placed
 
 SampleMethod = Literal["stratified", "uniform", "farthest", "rejection"]

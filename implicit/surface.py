@@ -15,8 +15,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from implicit.extraction import SurfaceError, marched_surface, newton_to_surface
-from implicit.field import Field
+from implicit.extraction import marched_surface, newton_to_surface
+from implicit.field import Field, SurfaceError
 
 # Six-point rule of degree 4 on the triangle (Dunavant 1985): two orbits (1 - 2a, a, a) and their weights.
 _TRIANGLE_ORBITS = ((0.445948490915965, 0.223381589678011), (0.091576213509771, 0.109951743655322))
@@ -35,6 +35,10 @@ class SurfaceSample:
 
     def __len__(self) -> int:
         return len(self.points)
+
+    def to(self, target: torch.device | torch.dtype | str) -> SurfaceSample:
+        """The same sample on another device or in another precision."""
+        return SurfaceSample(self.points.to(target), self.normals.to(target), self.weights.to(target))
 
     def integrate(self, density: Float[Tensor, " n"]) -> float:
         """Integral over the surface of a density given at the points."""
