@@ -96,11 +96,11 @@ class Chunks:
     def __iter__(self) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float32]]]:
         """First node and values of each chunk."""
         values, near = self.values.cpu().numpy(), self.near.cpu().numpy()
-        of_node = np.minimum(np.arange(CHUNK_CELLS + 1) // LEVELS[-1], CHUNK_CELLS // LEVELS[-1] - 1)
         for start, blocks in zip((self.index * CHUNK_CELLS).cpu().numpy(), self.blocks.cpu().numpy()):
             where = tuple(slice(first, first + CHUNK_CELLS + 1) for first in start)
             here = near[where]
-            x, y, z = (of_node[:count] for count in here.shape)
+            # The last node of all is that of the block before it.
+            x, y, z = (np.minimum(np.arange(count), count - 2) // LEVELS[-1] for count in here.shape)
             yield start, np.where(here, values[where], blocks[x[:, None, None], y[None, :, None], z])
 
 

@@ -36,9 +36,10 @@ class SurfaceSample:
     def __len__(self) -> int:
         return len(self.points)
 
-    def to(self, target: torch.device | torch.dtype | str) -> SurfaceSample:
-        """The same sample on another device or in another precision."""
-        return SurfaceSample(self.points.to(target), self.normals.to(target), self.weights.to(target))
+    def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> SurfaceSample:
+        """The same sample in another precision or on another device."""
+        parts = (self.points, self.normals, self.weights)
+        return SurfaceSample(*(part.to(dtype=dtype, device=device) for part in parts))
 
     def integrate(self, density: Float[Tensor, " n"]) -> float:
         """Integral over the surface of a density given at the points."""

@@ -26,7 +26,7 @@ BUMP = Handle(Ball((0.0, 0.5, 0.3), 0.25, falloff=0.3), Along(0.03))
 def pair():
     """Spot on both, in float64."""
     field = shapes.bundled("spot").to(torch.float64)
-    return field, field.to("cuda")
+    return field, field.to(device="cuda")
 
 
 def test_sensitivities_agree(pair):
@@ -48,7 +48,7 @@ def test_integrals_and_meshes_agree(pair):
 def test_geometric_edits_agree(pair, points):
     edits = []
     for field in pair:
-        sample = sample_surface(pair[0], points).to(field.device)
+        sample = sample_surface(pair[0], points).to(device=field.device)
         edits.append(geometric_edit(field, BUMP, parts=2, points=sample))
     assert edits[1].field.theta.is_cuda
     torch.testing.assert_close(edits[1].displacement.cpu(), edits[0].displacement, rtol=0, atol=1e-4 * 0.03)
@@ -64,6 +64,6 @@ def test_rigid_edits_agree(pair):
     pulled = Handle(Ball((0.0, 0.6, 0.5), 0.3), (0.0, 0.1, 0.0))
     moved = []
     for field in pair:
-        sample = sample_surface(pair[0], 400).to(field.device)
+        sample = sample_surface(pair[0], 400).to(device=field.device)
         moved.append(rigid_edit(field, [held, pulled], steps=1, points=sample).displacement.cpu())
     torch.testing.assert_close(moved[1], moved[0], rtol=0, atol=1e-4 * 0.1)

@@ -137,7 +137,7 @@ def test_blocks_left_out_change_nothing_of_the_surface(name):
     assert len(mine) == len(faces)
 
 
-@pytest.mark.parametrize("resolution", [31, 64, 97])
+@pytest.mark.parametrize("resolution", [12, 16, 31, 64, 97])
 def test_chunks_fit_together(resolution):
     """Every edge of the mesh has two faces, in opposite directions, also where chunks meet and where f = 0 in nodes."""
     for field in (shapes.torus(0.6, 0.25), shapes.sphere(radius=0.5), shapes.bundled("spot")):
