@@ -1,6 +1,6 @@
 """Marching over a grid of which only what is near the surface is ever evaluated or visited.
 
-The grid is cut into chunks of 32 cells, each of these into blocks of 8 and these into blocks of 2. A block is left
+The grid is cut into chunks of 32 cells, these into blocks of 8, of 4 and of 2. A block is left
 out where |f| at its middle exceeds its half diagonal times a bound on |df/dx|: the largest gradient seen near by on a
 coarse grid, with a safety factor. What is left out has the sign of its middle. Only the nodes of the last blocks are
 evaluated, each once, so that neighbouring chunks agree on them to the bit and their triangles fit.
@@ -24,7 +24,7 @@ from torch import Tensor
 from implicit.field import Field, SurfaceError
 
 # Cells along a block of each level; the first is a chunk, marched as a whole.
-LEVELS = (32, 8, 2)
+LEVELS = (32, 8, 4, 2)
 CHUNK_CELLS = LEVELS[0]
 
 # The factor by which the largest gradient seen near by is raised to bound those in between.
@@ -98,10 +98,22 @@ class Chunks:
         values, near = self.values.cpu().numpy(), self.near.cpu().numpy()
         for start, blocks in zip((self.index * CHUNK_CELLS).cpu().numpy(), self.blocks.cpu().numpy()):
             where = tuple(slice(first, first + CHUNK_CELLS + 1) for first in start)
-            here = near[where]
-            # The last node of all is that of the block before it.
-            x, y, z = (np.minimum(np.arange(count), count - 2) // LEVELS[-1] for count in here.shape)
-            yield start, np.where(here, values[where], blocks[x[:, None, None], y[None, :, None], z])
+            chunk = _spread(blocks, near[where].shape)
+            np.copyto(chunk, values[where], where=near[where])
+            yield start, chunk
+
+
+def _spread(blocks: NDArray[np.float32], nodes: tuple[int, ...]) -> NDArray[np.float32]:
+    """What each node of a chunk has from the block after it; the last of the grid from the block before it."""
+    side = LEVELS[-1]
+    chunk = np.empty((CHUNK_CELLS + side,) * 3, dtype=np.float32)
+    room = chunk.reshape([part for n in blocks.shape for part in (n + 1, side)])
+    room[:-1, :, :-1, :, :-1, :] = blocks[:, None, :, None, :, None]
+    x, y, z = (n - 1 for n in nodes)
+    chunk[x] = chunk[x - 1]
+    chunk[:, y] = chunk[:, y - 1]
+    chunk[:, :, z] = chunk[:, :, z - 1]
+    return chunk[: x + 1, : y + 1, : z + 1]
 
 
 def _march_chunks(field: Field, grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
