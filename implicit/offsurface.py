@@ -29,36 +29,45 @@ NEAR = 1 / 20  # of the field's size: up to here errors count fully
 
 @dataclass(frozen=True, eq=False)
 class FieldTarget:
-    """int w (df / scale - target)^2: how the field itself is to change at points anywhere.
+    """int w (df / scale + u(tied) - target)^2: how the field itself is to change at points anywhere.
 
     Args:
         points: Anywhere in the bounds, (N, D).
         target: Wanted change of f over the scale, a length if the scale is that of |df/dx|.
         weights: Of the points.
         scale: Units of f to a length.
+        tied: Points of the surface (N, D) whose outward motion u is added to the change; None adds nothing.
     """
 
     points: Float[Tensor, "n d"]
     target: Float[Tensor, " n"]
     weights: Float[Tensor, " n"]
     scale: float
+    tied: Float[Tensor, "n d"] | None = None
 
     def rows(self, space: DeformationSpace) -> Iterator[Rows]:
         for where, matrix in space.value_rows(self.points):
-            yield Rows(matrix.div_(self.scale), self.target[where], self.weights[where])
+            rows = matrix.div_(self.scale)
+            if self.tied is not None:
+                rows += torch.cat([part for _, part in space.normal_rows(self.tied[where])])
+            yield Rows(rows, self.target[where], self.weights[where])
 
     def operator(self, space: DeformationSpace) -> Operator:
         """The same equations by their products, for networks whose rows do not fit in memory."""
         field, p = space.field, space.parameters
         lengths = torch.full_like(self.target, -self.scale)  # a normal motion is -df / |df/dx|
 
+        def forward(x: Tensor) -> Tensor:
+            change = normal_displacement(field, self.points, x[:p], lengths)
+            return change if self.tied is None else change + normal_displacement(field, self.tied, x[:p])
+
         def back(weights: Tensor) -> Tensor:
             theta = adjoint(field, self.points, weights, lengths)
+            if self.tied is not None:
+                theta = theta + adjoint(field, self.tied, weights)
             return torch.cat([theta, theta.new_zeros(space.size - p)])
 
-        return Operator(
-            lambda x: normal_displacement(field, self.points, x[:p], lengths), back, self.target, self.weights
-        )
+        return Operator(forward, back, self.target, self.weights)
 
 
 def off_surface(
@@ -76,8 +85,8 @@ def off_surface(
     Args:
         field: A field in its present state.
         sample: Points on its surface, M of them.
-        motion: Their wanted motion along the normal (M,), a length; NaN where nothing is asked, and None for nowhere.
-            What lies nearest to those is asked to stay as it is.
+        motion: Their wanted motion along the normal (M,), a length; what lies nearest to a NaN is asked to stay as it
+            is. None ties each point to the motion that the step itself gives the surface.
         strength: Of the energy beside an integral of squared motions over the surface.
         restore: Share of the field's deviation from a distance that a step is to undo: 0 leaves its profile as it is,
             as a field that is no distance (an occupancy, say) needs.
@@ -88,12 +97,19 @@ def off_surface(
     lower, upper = field.bounds
     draw = torch.rand(points, field.dimension, generator=generator, dtype=torch.float64).to(field.theta)
     y = lower + draw * (upper - lower)
+    near = NEAR * field.size
+    m = points // 2
+    j = torch.linspace(0, len(sample) - 1, m, device=field.device).long()
+    hh = (2 * draw[:m, :1] - 1) * near
+    y[:m] = sample.points[j] + hh * sample.normals[j]
     scale = float(field.gradient(sample.points).norm(dim=1).mean())
     distance, nearest = torch.cdist(y, sample.points).min(dim=1)
     value = field.value(y) / scale
     target = restore * (torch.where(value < 0, -distance, distance) - value)
+    tied = sample.points[nearest] if motion is None else None
     if motion is not None:
         target = target - torch.nan_to_num(motion)[nearest]
-    near = NEAR * field.size
-    weights = (near / (near + distance)).square() * (strength / field.size * float((upper - lower).prod()) / points)
-    return FieldTarget(y, target, weights, scale)
+    weights = (near / (near + distance)).square() * (strength / field.size)
+    weights[:m] *= float(sample.weights.sum()) * 2 * near / m
+    weights[m:] *= float((upper - lower).prod()) / (points - m)
+    return FieldTarget(y, target, weights, scale, tied)

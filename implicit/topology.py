@@ -44,10 +44,31 @@ def surface_topology(field: Field, resolution: int = 48) -> Topology:
     return mesh_topology(*extract_mesh(field, resolution))
 
 
+def settled_topology(
+    field: Field, mesh: tuple[Vertices, Faces], resolution: int, before: Topology | None = None
+) -> Topology:
+    """The pieces of a mesh of a field's surface; where they differ from those before, the word of finer meshes.
+
+    The edge of a sheet thinner than a cell shows as crumbs that come and go with the lattice: a bunny's ear, 0.01 thick
+    at its tip, has one or two at 48 and 96 cells and none at 192.
+
+    Args:
+        mesh: Vertices and faces at the resolution.
+        before: What the surface is likely to be; None takes the mesh at its word.
+    """
+    found = mesh_topology(*mesh)
+    for finer in (2 * resolution, 4 * resolution):
+        if before is None or (found.components, found.euler) == (before.components, before.euler):
+            break
+        found = surface_topology(field, finer)
+    return found
+
+
 def mesh_topology(V: Vertices, F: Faces) -> Topology:
     """The pieces of a closed mesh: triangles (m, 3), or segments (m, 2) in the plane."""
     ends = F if F.shape[1] == 2 else np.concatenate([F[:, [0, 1]], F[:, [1, 2]], F[:, [2, 0]]])
-    edges = np.unique(np.sort(ends, axis=1), axis=0)
+    code = np.unique(ends.min(axis=1) * len(V) + ends.max(axis=1))
+    edges = np.stack([code // len(V), code % len(V)], axis=1)
     links = (np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1]))
     count, label = csgraph.connected_components(sparse.coo_array(links, shape=(len(V), len(V))), directed=False)
     areas = np.bincount(label[F[:, 0]], _contents(V, F), minlength=int(count))

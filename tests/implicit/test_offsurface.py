@@ -26,6 +26,17 @@ def test_a_sphere_told_to_grow_does_so_from_its_off_surface_points_alone(scale):
     assert float(solved(field, energy).theta) == pytest.approx(0.43, rel=1e-9)
 
 
+def test_a_tied_field_follows_the_step_that_the_surface_takes():
+    """Two parameters, the radius and a height added to f: raising it alone would tear the field off its surface."""
+    field = shapes.sphere(radius=0.4)
+    sample = sample_surface(field, 200)
+    energy = off_surface(field, sample, points=50)
+    (rows,) = energy.rows(DeformationSpace(field))
+    grown = torch.zeros_like(field.theta)
+    grown[0] = 0.03
+    torch.testing.assert_close(rows.matrix @ grown, energy.target, rtol=0, atol=1e-12)
+
+
 def test_no_motion_asked_for_means_none():
     field = shapes.sphere(radius=0.4)
     asked = torch.full((100,), float("nan"), dtype=torch.float64)
@@ -33,9 +44,10 @@ def test_no_motion_asked_for_means_none():
     torch.testing.assert_close(moved.theta, field.theta, rtol=0, atol=1e-12)
 
 
-def test_the_products_are_those_of_the_rows(wobbly):
+@pytest.mark.parametrize("motion", [None, torch.zeros(100, dtype=torch.float64)], ids=["tied", "told"])
+def test_the_products_are_those_of_the_rows(wobbly, motion):
     space = DeformationSpace(wobbly)
-    energy = off_surface(wobbly, sample_surface(wobbly, 100), points=20)
+    energy = off_surface(wobbly, sample_surface(wobbly, 100), motion, points=20)
     (rows,) = energy.rows(space)
     operator = energy.operator(space)
     x, y = torch.randn(space.size, dtype=torch.float64), torch.randn(20, dtype=torch.float64)
