@@ -1,8 +1,8 @@
 """The smoothing figure: mean-curvature flow with and without the volume held, by the neural field and by the mesh.
 
 Rows are the four flows, columns the selected steps; a second picture has volume and area over the steps. The field's
-volume is held by hard rows and Newton's method (the paper projects its step, and loses 1.6 %), and its drift is measured
-by an integrator that the loop does not use: Richardson's extrapolation of the flat meshes of 192 and 256 cells.
+volume is held by hard rows and Newton's method (the paper projects its step, and loses 1.6 %), and its drift is
+measured by an integrator that the loop does not use: Richardson's extrapolation of flat meshes of 192 and 256 cells.
 """
 
 from __future__ import annotations
