@@ -8,20 +8,23 @@ from implicit.evolve import Edit, EditStatus
 from implicit.extraction import extract_mesh, project_to_surface
 from implicit.field import Field, SurfaceError, Units, decoder_field, load_field, save_field
 from implicit.fit import FitStatus, Training, fit_field
+from implicit.flows import Bending, MeanCurvature, Offset
 from implicit.functionals import Area, Functional, Integral, SurfaceIntegral, Volume, VolumeIntegral, integrate
 from implicit.geometric import geometric_edit
+from implicit.guard import Holding
 from implicit.models import Siren
 from implicit.regions import Along, Ball, Box, HalfSpace, Handle, NearPoints, Region, RigidMotion
 from implicit.rigid import rigid_edit
 from implicit.sampling import sample_surface, transport
 from implicit.sensitivity import adjoint, basis, normal_displacement
-from implicit.smoothing import smooth
+from implicit.smoothing import Until, explicit_step_limit, smooth
 from implicit.surface import SurfaceSample, surface_quadrature
 
 __all__ = [
     "Along",
     "Area",
     "Ball",
+    "Bending",
     "Box",
     "Edit",
     "EditStatus",
@@ -30,8 +33,11 @@ __all__ = [
     "Functional",
     "HalfSpace",
     "Handle",
+    "Holding",
     "Integral",
+    "MeanCurvature",
     "NearPoints",
+    "Offset",
     "Region",
     "RigidMotion",
     "Siren",
@@ -40,11 +46,13 @@ __all__ = [
     "SurfaceSample",
     "Training",
     "Units",
+    "Until",
     "Volume",
     "VolumeIntegral",
     "adjoint",
     "basis",
     "decoder_field",
+    "explicit_step_limit",
     "extract_mesh",
     "fit_field",
     "geometric_edit",

@@ -66,19 +66,33 @@ class DeformationSpace:
     Args:
         field: Whose parameters span the normal part.
         tangential: Basis of the tangential part; None allows normal motion alone.
+        directions: Orthonormal columns (P, K): the normal part is then spanned by d_theta = directions c.
     """
 
-    def __init__(self, field: Field, tangential: TangentialModel | None = None) -> None:
+    def __init__(
+        self,
+        field: Field,
+        tangential: TangentialModel | None = None,
+        directions: Float[Tensor, "p k"] | None = None,
+    ) -> None:
         self.field = field
         self.tangential = tangential
-        self.parameters = len(field.theta)
+        self.directions = directions
+        self.parameters = len(field.theta) if directions is None else directions.shape[1]
         self.size = self.parameters + (field.dimension * tangential.count if tangential is not None else 0)
 
     def split(self, x: Float[Tensor, " s"]) -> tuple[Float[Tensor, " p"], Float[Tensor, "d k"] | None]:
         """The unknowns as d_theta and the tangential coefficients, one row a coordinate."""
+        d_theta = x[: self.parameters]
+        if self.directions is not None:
+            d_theta = self.directions @ d_theta
         if self.tangential is None:
-            return x, None
-        return x[: self.parameters], x[self.parameters :].view(self.field.dimension, self.tangential.count)
+            return d_theta, None
+        return d_theta, x[self.parameters :].view(self.field.dimension, self.tangential.count)
+
+    def reduced(self, rows: Float[Tensor, "*n p"]) -> Float[Tensor, "*n k"]:
+        """Rows over the parameters as rows over the unknowns of the normal part."""
+        return rows if self.directions is None else rows @ self.directions
 
     def displacement(self, points: Float[Tensor, "n d"], x: Float[Tensor, " s"]) -> Float[Tensor, "n d"]:
         """D at surface points, a length."""
@@ -95,22 +109,34 @@ class DeformationSpace:
         start = 0
         for part in row_blocks(points, self.size):
             length = self.field.gradient_length(self.field.gradient(part))
-            rows = parameter_gradient(self.field, part).div_(-length[:, None])
+            rows = self.reduced(parameter_gradient(self.field, part).div_(-length[:, None]))
             if self.size > self.parameters:
                 rows = torch.cat([rows, rows.new_zeros(len(part), self.size - self.parameters)], dim=1)
             yield slice(start, start + len(part)), rows
             start += len(part)
 
-    def normal_slope_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k t s"]]]:
-        """Slopes of n . D along the tangent axes (one in the plane, two in space) as rows over the unknowns."""
+    def value_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k s"]]]:
+        """The change of f itself, at points anywhere, as rows over the unknowns, in blocks of points."""
+        start = 0
+        for part in row_blocks(points, self.size):
+            rows = self.reduced(parameter_gradient(self.field, part))
+            if self.size > self.parameters:
+                rows = torch.cat([rows, rows.new_zeros(len(part), self.size - self.parameters)], dim=1)
+            yield slice(start, start + len(part)), rows
+            start += len(part)
+
+    def normal_slope_rows(
+        self, points: Float[Tensor, "n d"]
+    ) -> Iterator[tuple[slice, Float[Tensor, "k t d"], Float[Tensor, "k t s"]]]:
+        """Tangent axes (one in the plane, two in space), and the slopes of n . D along them as rows."""
         start = 0
         for part in row_blocks(points, 2 * self.field.dimension * self.size):
             frame = Frame.at(self.field, part)
             _, du = _speed_and_slope(self.field, frame)
-            rows = torch.einsum("nai,nip->nap", frame.axes[:, :-1], du)
+            rows = self.reduced(torch.einsum("nai,nip->nap", frame.axes[:, :-1], du))
             if self.size > self.parameters:
                 rows = torch.cat([rows, rows.new_zeros(*rows.shape[:2], self.size - self.parameters)], dim=2)
-            yield slice(start, start + len(part)), rows
+            yield slice(start, start + len(part)), frame.axes[:, :-1], rows
             start += len(part)
 
     def vector_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k d s"]]]:
@@ -121,7 +147,8 @@ class DeformationSpace:
             gradients = self.field.gradient(part)
             length = self.field.gradient_length(gradients)
             n = gradients / length[:, None]
-            rows = n[:, :, None] * (parameter_gradient(self.field, part) / -length[:, None])[:, None, :]
+            speed = self.reduced(parameter_gradient(self.field, part) / -length[:, None])
+            rows = n[:, :, None] * speed[:, None, :]
             if self.tangential is not None:
                 phi = self.tangential.values(part)
                 flat = torch.eye(dimension, dtype=n.dtype, device=n.device) - n[:, :, None] * n[:, None, :]
@@ -143,7 +170,7 @@ class DeformationSpace:
         for part in row_blocks(points, (len(entries) + 4) * self.size):
             frame = Frame.at(self.field, part)
             axes, n = frame.axes, frame.normals
-            u, du = _speed_and_slope(self.field, frame)
+            u, du = (self.reduced(part) for part in _speed_and_slope(self.field, frame))
             du = axes @ du
             shape = axes @ frame.normal_slopes @ axes.transpose(1, 2)
             rows = torch.empty(len(entries), len(part), self.size, dtype=part.dtype, device=part.device)

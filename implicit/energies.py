@@ -76,18 +76,26 @@ class VectorTarget:
 
 @dataclass(frozen=True, eq=False)
 class Smoothness:
-    """int w |grad_surface (n . D)|^2, the second variation of area without its curvature terms.
+    """int w |grad_surface (n . D) - target|^2, the second variation of area without its curvature terms.
 
     Added to a mean-curvature target with the step size as weight it makes the step implicit [Desbrun et al. 1999].
+
+    Args:
+        points, weights: Quadrature of the surface.
+        target: Wanted slope of the motion, a tangent vector at each point; None is zero.
     """
 
     points: Float[Tensor, "n d"]
     weights: Float[Tensor, " n"]
+    target: Float[Tensor, "n d"] | None = None
 
     def rows(self, space: DeformationSpace) -> Iterator[Rows]:
-        for where, slopes in space.normal_slope_rows(self.points):
+        for where, axes, slopes in space.normal_slope_rows(self.points):
+            wanted = slopes.new_zeros(slopes.shape[:2])
+            if self.target is not None:
+                wanted = torch.einsum("nai,ni->na", axes, self.target[where])
             for a in range(slopes.shape[1]):
-                yield Rows(slopes[:, a], torch.zeros_like(self.weights[where]), self.weights[where])
+                yield Rows(slopes[:, a], wanted[:, a], self.weights[where])
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from implicit.extraction import marched_surface, newton_to_surface
@@ -46,6 +46,15 @@ class SurfaceSample:
         return float(self.weights @ density)
 
 
+@dataclass(frozen=True, eq=False)
+class MeshedSample:
+    """A quadrature and the mesh whose cells it came from."""
+
+    sample: SurfaceSample
+    vertices: Float[Tensor, "v d"]  # on the surface
+    faces: Int[Tensor, "m d"]  # corners of the cells
+
+
 def surface_quadrature(field: Field, resolution: int = 64, *, exact_points: bool = False) -> SurfaceSample:
     """A fourth-order quadrature of the surface.
 
@@ -61,13 +70,17 @@ def surface_quadrature(field: Field, resolution: int = 64, *, exact_points: bool
     Raises:
         SurfaceError: There is no surface in the bounds, it leaves them, or the gradient vanishes on it.
     """
-    reach = 2 * field.size / resolution
-    nodes = curved_cells(field, resolution)
+    sample = meshed_quadrature(field, resolution).sample
+    return placed(field, sample.points, sample.weights, 2 * field.size / resolution) if exact_points else sample
+
+
+def meshed_quadrature(field: Field, resolution: int) -> MeshedSample:
+    """As surface_quadrature, its points left on the cells, with the corners of the cells as a mesh."""
+    corners, cells = marched_surface(field, resolution)
+    nodes = _with_middle_nodes(field, corners, cells, 2 * field.size / resolution)
     points, normals, weights = _curved_rule(nodes)
     keep = weights > 0
-    if not exact_points:
-        return SurfaceSample(points[keep], normals[keep], weights[keep])
-    return placed(field, points[keep], weights[keep], reach)
+    return MeshedSample(SurfaceSample(points[keep], normals[keep], weights[keep]), corners, cells)
 
 
 def curved_cells(field: Field, resolution: int) -> Float[Tensor, "m k d"]:

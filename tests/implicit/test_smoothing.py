@@ -76,9 +76,9 @@ def test_bad_input_is_refused(options, message):
 
 def test_a_sphere_that_vanishes_ends_with_a_status():
     edit = smooth(shapes.sphere(radius=0.3), steps=200, step_size=2e-3, method="explicit", points=100)
-    # R^2 = 0.09 - 4 t is spent after 11.25 steps of 2e-3.
-    assert edit.status is not EditStatus.DONE
-    assert 8 <= len(edit.history) <= 13
+    # R^2 = 0.09 - 4 t is spent after 11.25 steps of 2e-3; the last ones are cut short by the damping.
+    assert edit.status is EditStatus.SURFACE_LOST
+    assert 8 <= len(edit.history) <= 16
     assert torch.isfinite(edit.field.theta).all()
 
 
