@@ -24,10 +24,15 @@ from implicit.extraction import SurfaceError, newton_to_surface
 from implicit.field import Field
 from implicit.functionals import Functional
 from implicit.solve import DENSE_LIMIT, LeastSquares, Solution, SolveStatus
+from implicit.soundness import Soundness
 from implicit.surface import SurfaceSample, surface_quadrature
 
 Progress = Callable[[int, int, dict[str, Any]], None]
 Row = dict[str, Any]
+Asked = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+
+# Of the angle between a point's normal and the edited surface's up to which an error is measured along the former.
+LEAST_COSINE = 0.5
 
 
 class EditStatus(Enum):
@@ -39,6 +44,7 @@ class EditStatus(Enum):
     NOT_FINITE = "Stopped before a step that would not be finite; the field is as it was before that step."
     SURFACE_LOST = "Stopped before a step after which the surface would vanish or leave the bounds of the field."
     CONSTRAINT_NOT_HELD = "Stopped before a step after which a constraint could not be restored to its tolerance."
+    STRAY_PIECES = "All steps were taken, but pieces of surface have appeared apart from the body; see the notes."
     UNSTABLE = "Stopped because the steps grew beyond what a linear prediction holds for; take smaller steps."
 
 
@@ -55,6 +61,10 @@ class Edit:
         history: One row a step: energies, constraint values, residuals, step norms, seconds.
         status: How it ended.
         seconds: Wall time.
+        asked: From points and normals of the unedited surface (N, D) to what was asked there: the displacement, NaN
+            where nothing was, and the unit normals the points take along. None where only `wanted` is known.
+        before, after: How sound the field was and is, of geometric edits.
+        notes: What has become worse, a sentence each.
     """
 
     field: Field
@@ -67,23 +77,50 @@ class Edit:
     history: list[Row]
     status: EditStatus
     seconds: float
+    asked: Asked | None = None
+    before: Soundness | None = None
+    after: Soundness | None = None
+    notes: tuple[str, ...] = ()
 
-    def error_field(self) -> Float[Tensor, " i"]:
-        """Achieved minus wanted normal displacement over the largest wanted one, at the starting points.
+    def error_field(self, sample: SurfaceSample | None = None) -> Float[Tensor, " n"]:
+        """Achieved minus wanted normal displacement over the largest wanted one [paper, the error fields of fig. 4].
 
-        Achieved is measured on the edited field: each point is put where it was asked to go, and its signed
-        way from there to the edited surface is the error. NaN where nothing was asked.
+        Achieved is measured on the edited field: each point x is put at its goal g = x + wanted, and projected from
+        there to the edited surface. The signed way e along the edited surface's normal n' is the gap between the two
+        surfaces; along the normal n that x takes along the gap is e / (n . n'), to second order in e. Beyond 60 degrees
+        between the normals, where the goal folds, that line says nothing any more, and e / cos 60 is taken. An edit
+        that was asked for positions alone (a rigid one) has no such normals; there e itself is the error.
+
+        Args:
+            sample: Points of the unedited surface; None takes the starting points. A geometric edit answers for any,
+                so a dense quadrature of the unedited field shows the error between the points that carried the target.
+
+        Returns:
+            A pure number each, positive where the surface is too far out; NaN where nothing was asked.
+
+        Raises:
+            ValueError: Another sample was given, but the edit knows only of its starting points.
         """
-        asked = torch.isfinite(self.wanted).all(dim=1)
-        error = torch.full_like(self.weights, float("nan"))
-        if not bool(asked.any()):
+        points, normals, wanted, along = self.points, self.normals, self.wanted, None
+        if sample is not None:
+            if self.asked is None:
+                raise ValueError("This edit knows what was asked at its starting points only; leave sample out.")
+            points, normals = sample.points, sample.normals
+        if self.asked is not None:
+            wanted, along = self.asked(points, normals)
+        told = torch.isfinite(wanted).all(dim=1)
+        error = torch.full_like(points[:, 0], float("nan"))
+        if not bool(told.any()):
             return error
-        goal = self.points[asked] + self.wanted[asked]
-        largest = (self.wanted[asked] * self.normals[asked]).sum(dim=1).abs().max()
+        goal = points[told] + wanted[told]
+        largest = (wanted[told] * normals[told]).sum(dim=1).abs().max()
         surface, arrived = newton_to_surface(self.field, goal, reach=self.field.size / 2)
-        way = ((surface - goal) * self.field.normal(surface)).sum(dim=1)
+        facing = self.field.normal(surface)
+        way = ((surface - goal) * facing).sum(dim=1)
+        if along is not None:
+            way = way / (along[told] * facing).sum(dim=1).clamp(min=LEAST_COSINE)
         way = torch.where(arrived, way, torch.full_like(way, float("nan")))
-        error[asked] = way / largest.clamp(min=torch.finfo(way.dtype).tiny)
+        error[told] = way / largest.clamp(min=torch.finfo(way.dtype).tiny)
         return error
 
 
@@ -133,6 +170,7 @@ def evolve(
     tolerance: float = 1e-8,
     track: Float[Tensor, "m d"] | None = None,
     wanted: Float[Tensor, "i d"] | None = None,
+    asked: Asked | None = None,
     progress: Progress | None = None,
 ) -> Edit:
     """Take the steps of an operation.
@@ -144,6 +182,7 @@ def evolve(
         tolerance: Relative gap to which each constraint is restored after each step.
         track: Further points on the surface to carry along.
         wanted: Displacement asked for at the starting points, for the error field.
+        asked: The same for any points of the unedited surface; see Edit.
         progress: Called after each step with the step's number, the number of steps and its record.
 
     Returns:
@@ -182,8 +221,9 @@ def evolve(
         history=history,
         status=status,
         seconds=time.perf_counter() - began,
+        asked=asked,
     )
-    if status is EditStatus.DONE and not _reached(edit):
+    if status in (EditStatus.DONE, EditStatus.REACHED) and not _reached(edit):
         edit = replace(edit, status=EditStatus.NOT_REACHED)
     return edit
 
