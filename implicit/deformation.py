@@ -101,6 +101,16 @@ class DeformationSpace:
             yield slice(start, start + len(part)), rows
             start += len(part)
 
+    def value_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k s"]]]:
+        """The change of f itself, at points anywhere, as rows over the unknowns, in blocks of points."""
+        start = 0
+        for part in row_blocks(points, self.size):
+            rows = parameter_gradient(self.field, part)
+            if self.size > self.parameters:
+                rows = torch.cat([rows, rows.new_zeros(len(part), self.size - self.parameters)], dim=1)
+            yield slice(start, start + len(part)), rows
+            start += len(part)
+
     def normal_slope_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k t s"]]]:
         """Slopes of n . D along the tangent axes (one in the plane, two in space) as rows over the unknowns."""
         start = 0

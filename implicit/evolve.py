@@ -23,6 +23,7 @@ from implicit.energies import Energy, NormalTarget
 from implicit.extraction import SurfaceError, newton_to_surface
 from implicit.field import Field
 from implicit.functionals import Functional
+from implicit.offsurface import FieldTarget
 from implicit.solve import DENSE_LIMIT, LeastSquares, Solution, SolveStatus
 from implicit.soundness import Soundness
 from implicit.surface import SurfaceSample, surface_quadrature
@@ -301,10 +302,10 @@ def _assemble(problem: StepProblem) -> LeastSquares:
     # plain conjugate gradients are through with less. Each step sees what the last one missed, so 1e-4 is enough.
     system = LeastSquares(space.size, space.field.theta, method="cg", rank=0, tolerance=1e-4)
     for energy in problem.energies:
-        if not isinstance(energy, NormalTarget):
+        if not isinstance(energy, (NormalTarget, FieldTarget)):
             raise ValueError(
-                f"With {space.size} unknowns (more than {DENSE_LIMIT}) only targets along the normal can be "
-                f"solved for, but the step has a {type(energy).__name__} energy. Edit fewer parameters "
+                f"With {space.size} unknowns (more than {DENSE_LIMIT}) only targets along the normal and of the field "
+                f"can be solved for, but the step has a {type(energy).__name__} energy. Edit fewer parameters "
                 '(Field(parameters=...)), or smooth with method="explicit".'
             )
         system.add_operator(energy.operator(space))
