@@ -5,6 +5,7 @@ Sensitivity, ICLR 2023, arXiv:2304.12951].
 """
 
 from implicit.evolve import Edit, EditStatus
+from implicit.expressibility import Expressibility, Verdict, expressibility
 from implicit.extraction import SurfaceError, extract_mesh, project_to_surface
 from implicit.field import Field, Units, decoder_field, load_field, save_field
 from implicit.fit import FitStatus, Training, fit_field
@@ -16,7 +17,9 @@ from implicit.rigid import rigid_edit
 from implicit.sampling import sample_surface
 from implicit.sensitivity import adjoint, basis, normal_displacement
 from implicit.smoothing import smooth
+from implicit.soundness import Soundness, field_soundness
 from implicit.surface import SurfaceSample, surface_quadrature
+from implicit.topology import Topology, mesh_topology, surface_topology
 
 __all__ = [
     "Along",
@@ -25,6 +28,7 @@ __all__ = [
     "Box",
     "Edit",
     "EditStatus",
+    "Expressibility",
     "Field",
     "FitStatus",
     "Functional",
@@ -35,21 +39,27 @@ __all__ = [
     "Region",
     "RigidMotion",
     "Siren",
+    "Soundness",
     "SurfaceError",
     "SurfaceIntegral",
     "SurfaceSample",
+    "Topology",
     "Training",
     "Units",
+    "Verdict",
     "Volume",
     "VolumeIntegral",
     "adjoint",
     "basis",
     "decoder_field",
+    "expressibility",
     "extract_mesh",
+    "field_soundness",
     "fit_field",
     "geometric_edit",
     "integrate",
     "load_field",
+    "mesh_topology",
     "normal_displacement",
     "project_to_surface",
     "rigid_edit",
@@ -57,4 +67,5 @@ __all__ = [
     "save_field",
     "smooth",
     "surface_quadrature",
+    "surface_topology",
 ]

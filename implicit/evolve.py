@@ -35,6 +35,9 @@ Asked = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 # Of the angle between a point's normal and the edited surface's up to which an error is measured along the former.
 LEAST_COSINE = 0.5
 
+# An edit whose error field has at most this root mean square, over the area that was to move, has reached its target.
+REACHED_SHARE = 0.1
+
 
 class EditStatus(Enum):
     """How an edit ended; the value is the sentence a user reads."""
@@ -45,7 +48,7 @@ class EditStatus(Enum):
     NOT_FINITE = "Stopped before a step that would not be finite; the field is as it was before that step."
     SURFACE_LOST = "Stopped before a step after which the surface would vanish or leave the bounds of the field."
     CONSTRAINT_NOT_HELD = "Stopped before a step after which a constraint could not be restored to its tolerance."
-    STRAY_PIECES = "All steps were taken, but pieces of surface have appeared apart from the body; see the notes."
+    STRAY_PIECES = "All steps were taken, but stray pieces of surface have appeared; see the notes."
     UNSTABLE = "Stopped because the steps grew beyond what a linear prediction holds for; take smaller steps."
 
 
@@ -229,14 +232,26 @@ def evolve(
     return edit
 
 
+def first_solve(
+    field: Field, operation: Operation, start: SurfaceSample, resolution: int = 48
+) -> tuple[LeastSquares, Solution] | EditStatus:
+    """Solve the first step of an operation at the damping that its linearity allows, and do not take it."""
+    state = State(field, 0, start.points, None)
+    problem = operation.step(state)
+    system = _assemble(problem)
+    cell = 2 * field.size / resolution
+    trial = _trial(state, problem, system, None, _Trust(field.dtype), start.points, cell)
+    return trial if isinstance(trial, EditStatus) else (system, trial.solution)
+
+
 def _reached(edit: Edit) -> bool:
-    """Whether the root mean square of the error field is at most a tenth, where a displacement was asked for."""
+    """Whether the root mean square of the error field is at most REACHED_SHARE, where a displacement was asked for."""
     error = edit.error_field()
     asked = torch.isfinite(edit.wanted).all(dim=1)
     moved = asked & (edit.wanted.norm(dim=1) > 0)
     if not bool(moved.any()):
         return True
-    return bool((error[asked] * edit.weights[asked].sqrt()).norm() <= 0.1 * edit.weights[moved].sum().sqrt())
+    return bool((error[asked] * edit.weights[asked].sqrt()).norm() <= REACHED_SHARE * edit.weights[moved].sum().sqrt())
 
 
 def _take(
@@ -359,9 +374,10 @@ def _trial(
         else:
             last = _Trial(solution, moved, way, arrived_at, arrived, reach, solves)
             miss, size = _miss(way, arrived_at - carried, arrived)
-            # A larger miss than what the step leaves undone anyway is not worth the smaller residual; and where there
-            # are constraints, beyond a fifth of the motion the linear model says too little about them.
-            undone = solution.residual if fixed is None else min(solution.residual, 0.2 * size)
+            # A larger miss than what the step leaves undone anyway is not worth the smaller residual; but beyond a fifth
+            # of the motion the linear model says too little, about constraints, and about a target out of reach: letters
+            # on a bracket were once pushed until the slope of the field fell to a seventh.
+            undone = min(solution.residual, 0.2 * size)
             allowed = max(problem.allowed_miss * size, undone)
             good = miss <= allowed and bool(arrived.double().mean() > 0.995)
             if good:
