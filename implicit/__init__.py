@@ -4,6 +4,7 @@ The method is boundary sensitivity [Berzins, Ibing, Kobbelt: Neural Implicit Sha
 Sensitivity, ICLR 2023, arXiv:2304.12951].
 """
 
+from implicit.basis_function import BasisFunction, basis_function, one_weight_per_layer
 from implicit.evolve import Edit, EditStatus
 from implicit.expressibility import Expressibility, Verdict, expressibility
 from implicit.extraction import SurfaceError, extract_mesh, project_to_surface
@@ -25,6 +26,7 @@ __all__ = [
     "Along",
     "Area",
     "Ball",
+    "BasisFunction",
     "Box",
     "Edit",
     "EditStatus",
@@ -51,6 +53,7 @@ __all__ = [
     "VolumeIntegral",
     "adjoint",
     "basis",
+    "basis_function",
     "decoder_field",
     "expressibility",
     "extract_mesh",
@@ -61,6 +64,7 @@ __all__ = [
     "load_field",
     "mesh_topology",
     "normal_displacement",
+    "one_weight_per_layer",
     "project_to_surface",
     "rigid_edit",
     "sample_surface",

@@ -374,9 +374,9 @@ def _trial(
         else:
             last = _Trial(solution, moved, way, arrived_at, arrived, reach, solves)
             miss, size = _miss(way, arrived_at - carried, arrived)
-            # A larger miss than what the step leaves undone anyway is not worth the smaller residual; but beyond a fifth
-            # of the motion the linear model says too little, about constraints, and about a target out of reach: letters
-            # on a bracket were once pushed until the slope of the field fell to a seventh.
+            # A larger miss than what the step leaves undone anyway is not worth the smaller residual; but beyond a
+            # fifth of the motion the linear model says too little, about constraints and about a target out of reach:
+            # letters on a bracket were once pushed until the slope of the field fell to a seventh.
             undone = min(solution.residual, 0.2 * size)
             allowed = max(problem.allowed_miss * size, undone)
             good = miss <= allowed and bool(arrived.double().mean() > 0.995)
