@@ -26,9 +26,10 @@ from implicit.sampling import sample_surface
 from implicit.surface import SurfaceSample
 
 # Where the edit itself chooses the parts: the first part's share of the field's size, the nonlinear share of a step's
-# motion that is aimed at, and the most parts.
+# motion that is aimed at, and the most parts. The loop accepts a fiftieth; beyond, it damps the step, and what a damped
+# step leaves undone costs more than another part would.
 FIRST_PART = 1 / 160
-LINEARITY = 0.1
+LINEARITY = 0.012
 MOST_PARTS = 24
 
 # Points are drawn anew where their spacing has grown so that one stands for this many times the area it began with.
@@ -55,7 +56,8 @@ class Splitting:
             return
         # The nonlinear part of a step grows with its square, so its share of the motion grows with the step.
         error = max(float(last["linearity_error"]), 1e-12)
-        self._share *= min(1.5, max(0.5, LINEARITY / error))
+        damped = last["solves"] > 1 and step > 1  # the first part looks for its damping from below
+        self._share *= 0.5 if damped else min(1.5, max(0.5, LINEARITY / error))
         left = 1.0 - self.now
         self._share = max(self._share, left / max(1, MOST_PARTS - step))
         more = math.ceil(left / self._share - 1e-9)

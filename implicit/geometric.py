@@ -95,10 +95,10 @@ def geometric_edit(
     )
     if edit.status is EditStatus.REACHED:  # the whole way was gone in fewer parts than there might have been
         edit = replace(edit, status=EditStatus.DONE)
-    return _with_evidence(edit, before, resolution)
+    return with_evidence(edit, before, resolution)
 
 
-def _with_evidence(edit: Edit, before: Soundness, resolution: int) -> Edit:
+def with_evidence(edit: Edit, before: Soundness, resolution: int) -> Edit:
     """The edit with how sound its field was and is."""
     try:
         after = field_soundness(edit.field, resolution)

@@ -37,6 +37,8 @@ BUMPS = {
     "rocker-arm": (0.05, 0.41, 0.15),
 }
 AZIMUTH = {"spot": 300.0, "cactus": 45.0, "bracket": 200.0, "bunny": 60.0, "rocker-arm": 20.0}
+ELEVATION = {"spot": 20.0, "cactus": 20.0, "bracket": -30.0, "bunny": 20.0, "rocker-arm": 20.0}
+FROM_BELOW = Camera(90.0, -60.0)
 HEIGHT = 0.1  # of the longest side, of bump and stretch
 SHARE = 0.25  # of the area that moves
 PARTS = 16
@@ -107,7 +109,7 @@ def natural(field: implicit.Field, name: str, kind: str) -> Handle:
 
 def letters() -> Handle:
     """Three letters pressed a fortieth of the shape deep into the under side of the bracket."""
-    region = Letters("SDF", (-0.2, -0.7, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), height=0.3, depth=0.1)
+    region = Letters("SDF", (-0.2, -0.7, 0.0), (0.0, 0.0, -1.0), (1.0, 0.0, 0.0), height=0.3, depth=0.1)
     return Handle(region, Along(-0.04))
 
 
@@ -151,9 +153,9 @@ def _picture(tasks: list[_Task]) -> Figure:
     figure = Figure(figsize=(1.9 * len(tasks) + 0.5, 5.6), layout="constrained")
     grid = figure.subplots(3, len(tasks), squeeze=False)
     for column, task in enumerate(tasks):
-        camera = Camera(AZIMUTH[task.name], -25.0 if task.name == LETTERS else 20.0)
+        camera = FROM_BELOW if task.kind == "letters" else Camera(AZIMUTH[task.name], ELEVATION[task.name])
         field = task.subject.field
-        fine = 128 if task.kind == "letters" else 96
+        fine = 160 if task.kind == "letters" else 96
         start = surface_view(field, partial(_target, task), fine)
         after = surface_view(task.edit.field, resolution=fine)
         error = surface_view(field, partial(_error, task), fine)

@@ -38,11 +38,13 @@ class Letters(Region):
         right, up = np.asarray(self.right), np.asarray(self.up)
         flat = np.stack([offset @ right, offset @ up], axis=1)
         near = np.abs(offset @ np.cross(right, up)) <= self.depth
-        covered = self._outline().contains_points(flat) & near
+        # Holes of letters are outlines within outlines; matplotlib itself would fill them.
+        rings = [ring.contains_points(flat) for ring in self._outlines()]
+        covered = (np.sum(rings, axis=0) % 2 == 1) & near
         return torch.from_numpy(covered).to(points)
 
-    def _outline(self) -> Path:
+    def _outlines(self) -> list[Path]:
         path = TextPath((0, 0), self.text, size=100)
         box = path.get_extents()
         middle = np.array([(box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2])
-        return Path((path.vertices - middle) * (self.height / box.height), path.codes)
+        return [Path((ring - middle) * (self.height / box.height)) for ring in path.to_polygons()]

@@ -15,17 +15,15 @@ from numpy import ndarray
 
 import implicit
 from compare.figures import COLOURS, SURFACE, Camera, paint
-from compare.views import View, simplified
-
-FACES = 20_000  # of a panel, plenty for its size
+from compare.views import View
 
 
 def surface_view(
     field: implicit.Field, values: Callable[[ndarray], ndarray] | None = None, resolution: int = 96
 ) -> View:
-    """The largest piece of a field's surface as it is painted, with a number a vertex, or zeros."""
+    """A field's surface with a number a vertex, or zeros; even in flat parts, where the numbers may have detail."""
     V, F = implicit.extract_mesh(field, resolution)
-    return simplified(View(V, F, np.zeros(len(V)) if values is None else values(V)), FACES)
+    return View(V, F, np.zeros(len(V)) if values is None else values(V))
 
 
 def coloured(view: View, limit: float) -> Float[ndarray, "m 3"]:
