@@ -4,7 +4,9 @@ The method is boundary sensitivity [Berzins, Ibing, Kobbelt: Neural Implicit Sha
 Sensitivity, ICLR 2023, arXiv:2304.12951].
 """
 
+from implicit.basis_function import BasisFunction, basis_function, one_weight_per_layer
 from implicit.evolve import Edit, EditStatus
+from implicit.expressibility import Expressibility, Verdict, expressibility
 from implicit.extraction import extract_mesh, project_to_surface
 from implicit.field import Field, SurfaceError, Units, decoder_field, load_field, save_field
 from implicit.fit import FitStatus, Training, fit_field
@@ -18,16 +20,20 @@ from implicit.rigid import rigid_edit
 from implicit.sampling import sample_surface, transport
 from implicit.sensitivity import adjoint, basis, normal_displacement
 from implicit.smoothing import Until, explicit_step_limit, smooth
+from implicit.soundness import Soundness, field_soundness
 from implicit.surface import SurfaceSample, surface_quadrature
+from implicit.topology import Topology, mesh_topology, surface_topology
 
 __all__ = [
     "Along",
     "Area",
     "Ball",
+    "BasisFunction",
     "Bending",
     "Box",
     "Edit",
     "EditStatus",
+    "Expressibility",
     "Field",
     "FitStatus",
     "Functional",
@@ -41,29 +47,38 @@ __all__ = [
     "Region",
     "RigidMotion",
     "Siren",
+    "Soundness",
     "SurfaceError",
     "SurfaceIntegral",
     "SurfaceSample",
+    "Topology",
     "Training",
     "Units",
     "Until",
+    "Verdict",
     "Volume",
     "VolumeIntegral",
     "adjoint",
     "basis",
+    "basis_function",
     "decoder_field",
     "explicit_step_limit",
+    "expressibility",
     "extract_mesh",
+    "field_soundness",
     "fit_field",
     "geometric_edit",
     "integrate",
     "load_field",
+    "mesh_topology",
     "normal_displacement",
+    "one_weight_per_layer",
     "project_to_surface",
     "rigid_edit",
     "sample_surface",
     "save_field",
     "smooth",
     "surface_quadrature",
+    "surface_topology",
     "transport",
 ]

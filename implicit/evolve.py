@@ -28,6 +28,7 @@ from implicit.guard import Guard, Holding, NotHeldError
 from implicit.offsurface import FieldTarget
 from implicit.plain import is_plain
 from implicit.solve import DENSE_LIMIT, LeastSquares, Solution, SolveStatus
+from implicit.soundness import Soundness
 from implicit.surface import MeshedSample, SurfaceSample
 from implicit.topology import Topology, settled_topology
 from implicit.trust import Trust, miss
@@ -37,6 +38,13 @@ PRECISION = {torch.float32: 4e-6, torch.float64: 4e-12}
 
 Progress = Callable[[int, int, dict[str, Any]], None]
 Row = dict[str, Any]
+Asked = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+
+# Of the angle between a point's normal and the edited surface's up to which an error is measured along the former.
+LEAST_COSINE = 0.5
+
+# An edit whose error field has at most this root mean square, over the area that was to move, has reached its target.
+REACHED_SHARE = 0.1
 
 
 class EditStatus(Enum):
@@ -48,6 +56,7 @@ class EditStatus(Enum):
     NOT_FINITE = "Stopped before a step that would not be finite; the field is as it was before that step."
     SURFACE_LOST = "Stopped before a step after which the surface would vanish or leave the bounds of the field."
     CONSTRAINT_NOT_HELD = "Stopped before a step after which a constraint could not be restored to its tolerance."
+    STRAY_PIECES = "All steps were taken, but stray pieces of surface have appeared; see the notes."
     UNSTABLE = "Stopped because the steps grew beyond what a linear prediction holds for; take smaller steps."
 
 
@@ -64,6 +73,10 @@ class Edit:
         history: One row a step: energies, constraint values, residuals, step norms, seconds.
         status: How it ended.
         seconds: Wall time.
+        asked: From points and normals of the unedited surface (N, D) to what was asked there: the displacement, NaN
+            where nothing was, and the unit normals the points take along. None where only `wanted` is known.
+        before, after: How sound the field was and is, of geometric edits.
+        notes: What has become worse, a sentence each.
     """
 
     field: Field
@@ -76,23 +89,50 @@ class Edit:
     history: list[Row]
     status: EditStatus
     seconds: float
+    asked: Asked | None = None
+    before: Soundness | None = None
+    after: Soundness | None = None
+    notes: tuple[str, ...] = ()
 
-    def error_field(self) -> Float[Tensor, " i"]:
-        """Achieved minus wanted normal displacement over the largest wanted one, at the starting points.
+    def error_field(self, sample: SurfaceSample | None = None) -> Float[Tensor, " n"]:
+        """Achieved minus wanted normal displacement over the largest wanted one [paper, the error fields of fig. 4].
 
-        Achieved is measured on the edited field: each point is put where it was asked to go, and its signed
-        way from there to the edited surface is the error. NaN where nothing was asked.
+        Achieved is measured on the edited field: each point x is put at its goal g = x + wanted, and projected from
+        there to the edited surface. The signed way e along the edited surface's normal n' is the gap between the two
+        surfaces; along the normal n that x takes along the gap is e / (n . n'), to second order in e. Beyond 60 degrees
+        between the normals, where the goal folds, that line says nothing any more, and e / cos 60 is taken. An edit
+        that was asked for positions alone (a rigid one) has no such normals; there e itself is the error.
+
+        Args:
+            sample: Points of the unedited surface; None takes the starting points. A geometric edit answers for any,
+                so a dense quadrature of the unedited field shows the error between the points that carried the target.
+
+        Returns:
+            A pure number each, positive where the surface is too far out; NaN where nothing was asked.
+
+        Raises:
+            ValueError: Another sample was given, but the edit knows only of its starting points.
         """
-        asked = torch.isfinite(self.wanted).all(dim=1)
-        error = torch.full_like(self.weights, float("nan"))
-        if not bool(asked.any()):
+        points, normals, wanted, along = self.points, self.normals, self.wanted, None
+        if sample is not None:
+            if self.asked is None:
+                raise ValueError("This edit knows what was asked at its starting points only; leave sample out.")
+            points, normals = sample.points, sample.normals
+        if self.asked is not None:
+            wanted, along = self.asked(points, normals)
+        told = torch.isfinite(wanted).all(dim=1)
+        error = torch.full_like(points[:, 0], float("nan"))
+        if not bool(told.any()):
             return error
-        goal = self.points[asked] + self.wanted[asked]
-        largest = (self.wanted[asked] * self.normals[asked]).sum(dim=1).abs().max()
+        goal = points[told] + wanted[told]
+        largest = (wanted[told] * normals[told]).sum(dim=1).abs().max()
         surface, arrived = newton_to_surface(self.field, goal, reach=self.field.size / 2)
-        way = ((surface - goal) * self.field.normal(surface)).sum(dim=1)
+        facing = self.field.normal(surface)
+        way = ((surface - goal) * facing).sum(dim=1)
+        if along is not None:
+            way = way / (along[told] * facing).sum(dim=1).clamp(min=LEAST_COSINE)
         way = torch.where(arrived, way, torch.full_like(way, float("nan")))
-        error[asked] = way / largest.clamp(min=torch.finfo(way.dtype).tiny)
+        error[told] = way / largest.clamp(min=torch.finfo(way.dtype).tiny)
         return error
 
 
@@ -146,6 +186,7 @@ def evolve(
     changing: bool = False,
     track: Float[Tensor, "m d"] | None = None,
     wanted: Float[Tensor, "i d"] | None = None,
+    asked: Asked | None = None,
     progress: Progress | None = None,
 ) -> Edit:
     """Take the steps of an operation.
@@ -159,6 +200,7 @@ def evolve(
             that loses its sheet goes on from the nearest point of the surface.
         track: Further points on the surface to carry along.
         wanted: Displacement asked for at the starting points, for the error field.
+        asked: The same for any points of the unedited surface; see Edit.
         progress: Called after each step with the step's number, the number of steps and its record.
 
     Returns:
@@ -199,20 +241,29 @@ def evolve(
         history=history,
         status=status,
         seconds=time.perf_counter() - began,
+        asked=asked,
     )
-    if status is EditStatus.DONE and not _reached(edit):
+    if status in (EditStatus.DONE, EditStatus.REACHED) and not _reached(edit):
         edit = replace(edit, status=EditStatus.NOT_REACHED)
     return edit
 
 
+def first_solve(
+    field: Field, operation: Operation, start: SurfaceSample, resolution: int = 48
+) -> tuple[LeastSquares, Solution] | EditStatus:
+    """Solve the first step of an operation at the damping that its linearity allows, and do not take it."""
+    guard = Guard(field, (), Holding(resolution=resolution), always=False)
+    return _Loop(field, operation, guard, changing=False).solve(State(field, 0, start.points, None))
+
+
 def _reached(edit: Edit) -> bool:
-    """Whether the root mean square of the error field is at most a tenth, where a displacement was asked for."""
+    """Whether the root mean square of the error field is at most REACHED_SHARE, where a displacement was asked for."""
     error = edit.error_field()
     asked = torch.isfinite(edit.wanted).all(dim=1)
     moved = asked & (edit.wanted.norm(dim=1) > 0)
     if not bool(moved.any()):
         return True
-    return bool((error[asked] * edit.weights[asked].sqrt()).norm() <= 0.1 * edit.weights[moved].sum().sqrt())
+    return bool((error[asked] * edit.weights[asked].sqrt()).norm() <= REACHED_SHARE * edit.weights[moved].sum().sqrt())
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,6 +291,13 @@ class _Loop:
         if changing:
             self._topology = self._pieces(field)
         self._found: Topology | None = None
+
+    def solve(self, state: State) -> tuple[LeastSquares, Solution] | EditStatus:
+        """A step's least squares, at the damping that its linearity allows; it is not taken."""
+        problem = self._operation.step(state)
+        system = _assemble(problem)
+        trial = self._trial(state, problem, system, None, state.points)
+        return trial if isinstance(trial, EditStatus) else (system, trial.solution)
 
     def take(self, state: State, carried: Tensor) -> tuple[Field, Tensor, Row] | EditStatus:
         """One step: the new field, the carried points on it, and the record; or why it was not taken."""
@@ -376,7 +434,7 @@ class _Loop:
             solution, x = self._solve(system, problem.damping, damping, fixed)
             if solution.status is SolveStatus.FAILED:
                 return EditStatus.NOT_FINITE
-            last, ratio = self._try(state.field, problem, solution, x, fixed is not None, solves, carried)
+            last, ratio = self._try(state.field, problem, solution, x, solves, carried)
             if ratio <= 1:
                 trust.after(ratio, problem.least_damping)
                 break
@@ -391,7 +449,6 @@ class _Loop:
         problem: StepProblem,
         solution: Solution,
         x: Tensor,
-        constrained: bool,
         solves: int,
         carried: Tensor,
     ) -> tuple[_Trial | EditStatus, float]:
@@ -410,8 +467,9 @@ class _Loop:
         trial = _Trial(solution, x, moved, way, arrived_at, arrived, reach, solves)
         missed, size = miss(way, arrived_at - points, arrived)
         # A miss up to what the step leaves undone anyway is worth its smaller residual. But beyond a fifth of the
-        # motion the linear model says too little of constraints, and of how thin parts vanish.
-        undone = min(solution.residual, 0.2 * size) if constrained or self._changing else solution.residual
+        # motion the linear model says too little: of constraints, of how thin parts vanish, of a target out of reach
+        # (letters on a bracket were once pushed until the slope of the field fell to a seventh).
+        undone = min(solution.residual, 0.2 * size)
         floor = PRECISION[field.dtype] * field.size  # to which points are placed on the surface at all
         allowed = max(problem.allowed_miss * size, floor, undone)
         kept = float(arrived.double().mean())

@@ -267,6 +267,17 @@ class LeastSquares:
             raise RuntimeError("correction needs a solved problem: call solve first.")
         return _to_meet(self._factor, C.double(), r.double())[0].to(self._like.dtype)
 
+    def inverse(self, right: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+        """(A^T W A + damping)^-1 right, of the last solved problem."""
+        if self._factor is None:
+            raise RuntimeError("inverse needs a solved problem: call solve first.")
+        return self._factor.inverse(right.double()[:, None])[:, 0]
+
+    @property
+    def right(self) -> Float[Tensor, " n"]:
+        """A^T W y, in float64."""
+        return self._right
+
     def _factorise(self, ridge: Tensor) -> Factor | None:
         if self._normal is not None:
             return Primal.of(self._normal, ridge, self._seed)
