@@ -79,8 +79,8 @@ def smooth(
     until: Until | None = None,
     off: float = 1e-2,
     restore: float = 0.0,
-    points: int = 600,
-    directions: int | None = 300,
+    points: int = 400,
+    directions: int | None = 200,
     damping: float | None = None,
     resolution: int = 48,
     track: Float[Tensor, "m d"] | None = None,
@@ -150,7 +150,7 @@ def smooth(
     )
 
 
-def explicit_step_limit(field: Field, *, points: int = 600, directions: int = 300, seed: int = 0) -> float:
+def explicit_step_limit(field: Field, *, points: int = 400, directions: int = 200, seed: int = 0) -> float:
     """Largest stable step_size of explicit mean-curvature flow, a squared length.
 
     A step changes the motion u by step_size times its surface Laplacian, so it is stable up to 2 over the largest
