@@ -10,7 +10,7 @@ With s = u - n . T this is D = T + n s, so its Jacobian needs no derivative of t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -158,48 +158,63 @@ class DeformationSpace:
             start += len(part)
 
     def strain_rows(
-        self, points: Float[Tensor, "n d"], entries: Sequence[tuple[int, int]]
-    ) -> Iterator[tuple[slice, Float[Tensor, "e k s"]]]:
-        """Entries (a, b) of J + J^T in the surface's own axes (tangents first, normal last), as rows.
+        self, points: Float[Tensor, "n d"], shares: Mapping[tuple[int, int], float]
+    ) -> Iterator[tuple[slice, Float[Tensor, "r k s"], Float[Tensor, "q k t"]]]:
+        """Weighted entries (a, b) of J + J^T in the surface's own axes (tangents first, normal last), turned.
 
-        Of the parameters only the speed u and its slope appear, four rows a point, and each entry is a combination
-        of at most two of them.
+        The parameters move a point's strain only through the speed u and its slope in space, the tangential functions
+        through their values and slopes. So a rotation among a point's entries, which changes no sum of squares, leaves
+        all but a few of them free of the parameters: of the five entries without the normal one, two.
+
+        Args:
+            shares: Weight of the square of each entry.
+
+        Yields:
+            Rows over all unknowns, and rows over the tangential ones alone, whose squares add up to those of the
+            entries times their shares.
         """
         start = 0
         last = self.field.dimension - 1
+        entries = list(shares)
+        roots = torch.tensor([shares[entry] ** 0.5 for entry in entries]).to(self.field.theta)
+        # A slope of the speed shows only in the entry of its axis with the normal.
+        used = [0, *(1 + a for a in range(last + 1) if (a, last) in shares)]
         for part in row_blocks(points, (len(entries) + 4) * self.size):
             frame = Frame.at(self.field, part)
             axes, n = frame.axes, frame.normals
-            u, du = (self.reduced(part) for part in _speed_and_slope(self.field, frame))
-            du = axes @ du
             shape = axes @ frame.normal_slopes @ axes.transpose(1, 2)
-            rows = torch.empty(len(entries), len(part), self.size, dtype=part.dtype, device=part.device)
+            # Entries from (u, du), and from the values and slopes (along the axes) of a function times coordinate i:
+            of_speed = n.new_zeros(len(part), len(entries), last + 2)
+            of_slide = n.new_zeros(len(part), len(entries), last + 1, last + 2)
+            # s = -n . T has the slope -(dn/dx)^T T - (dT/dx)^T n.
+            swing = axes @ frame.normal_slopes.transpose(1, 2)
             for e, (a, b) in enumerate(entries):
-                own = rows[e, :, : self.parameters]
-                torch.mul(u, (shape[:, a, b] + shape[:, b, a])[:, None], out=own)
+                bend = shape[:, a, b] + shape[:, b, a]
+                of_speed[:, e, 0] = bend
+                of_slide[:, e, :, 0] = -bend[:, None] * n
                 for here, there in ((a, b), (b, a)):
+                    of_slide[:, e, :, 1 + there] += axes[:, here]
                     if here == last:
-                        own += du[:, there]
+                        of_speed[:, e, 1 + there] += 1
+                        of_slide[:, e, :, 0] -= swing[:, there]
+                        # dT_here/dx_there, less what the normal part takes back of it
+                        of_slide[:, e, :, 1 + there] -= n
+            turn, of_speed = torch.linalg.qr(roots[:, None] * of_speed[:, :, used], mode="complete")
+            of_slide = torch.einsum("nfe,nfij->neij", turn * roots[:, None], of_slide)
+            u, du = _speed_and_slope(self.field, frame)
+            speeds = torch.cat([u[:, None], axes @ du], dim=1)[:, used]
+            touched = min(len(entries), len(used))
+            rows = torch.empty(touched, len(part), self.size, dtype=part.dtype, device=part.device)
+            own = self.reduced(of_speed[:, :touched] @ speeds)
+            rows[:, :, : self.parameters] = own.transpose(0, 1)
+            rest = rows.new_zeros(len(entries) - touched, len(part), self.size - self.parameters)
             if self.tangential is not None:
                 phi, dphi = self.tangential.values(part), self.tangential.slopes(part)
-                along = axes @ dphi
-                # s = -n . T has the slope -(dn/dx)^T T - (dT/dx)^T n, in the surface's axes:
-                swing = axes @ frame.normal_slopes.transpose(1, 2)
-                for e, (a, b) in enumerate(entries):
-                    bend = -(shape[:, a, b] + shape[:, b, a])
-                    for i in range(self.field.dimension):
-                        first = self.parameters + i * phi.shape[1]
-                        own = rows[e, :, first : first + phi.shape[1]]
-                        weight = bend * n[:, i]
-                        for here, there in ((a, b), (b, a)):
-                            if here == last:
-                                weight = weight - swing[:, there, i]
-                        torch.mul(phi, weight[:, None], out=own)
-                        for here, there in ((a, b), (b, a)):
-                            # dT_here/dx_there, less what the normal part takes back of it
-                            share = axes[:, here, i] - (n[:, i] if here == last else 0)
-                            own += share[:, None] * along[:, there]
-            yield slice(start, start + len(part)), rows
+                functions = torch.cat([phi[:, None], axes @ dphi], dim=1)
+                slides = torch.einsum("neij,njk->enik", of_slide, functions).flatten(2)
+                rows[:, :, self.parameters :] = slides[:touched]
+                rest = slides[touched:]
+            yield slice(start, start + len(part)), rows, rest
             start += len(part)
 
 

@@ -118,11 +118,12 @@ class Killing:
         d = self.points.shape[1]
         entries = [(a, b) for a in range(d) for b in range(a, d)]
         # Off the diagonal each entry stands twice in the matrix, so it counts twice.
-        shares = [(1.0 if a == b else 2.0) * self._share(a, b, d - 1) for a, b in entries]
-        used = [(entry, share) for entry, share in zip(entries, shares, strict=True) if share > 0]
-        for where, strain in space.strain_rows(self.points, [entry for entry, _ in used]):
-            weights = torch.cat([share * self.weights[where] for _, share in used])
-            yield Rows(strain.flatten(0, 1), torch.zeros_like(weights), weights)
+        shares = {(a, b): (1.0 if a == b else 2.0) * self._share(a, b, d - 1) for a, b in entries}
+        used = {entry: share for entry, share in shares.items() if share > 0}
+        for where, turned, rest in space.strain_rows(self.points, used):
+            for rows, first in ((turned, 0), (rest, space.parameters)):
+                weights = self.weights[where].repeat(len(rows))
+                yield Rows(rows.flatten(0, 1), torch.zeros_like(weights), weights, first)
 
     def _share(self, a: int, b: int, normal: int) -> float:
         if b < normal:

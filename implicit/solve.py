@@ -36,11 +36,12 @@ DENSE_LIMIT = 8000
 
 
 class Rows(NamedTuple):
-    """A block of weighted equations matrix @ x = target."""
+    """A block of weighted equations matrix @ x[first:] = target, of the unknowns from `first` up to the last."""
 
     matrix: Float[Tensor, "k n"]
     target: Float[Tensor, " k"]
     weights: Float[Tensor, " k"]
+    first: int = 0
 
 
 class Operator(NamedTuple):
@@ -130,11 +131,13 @@ class LeastSquares:
 
     def add(self, rows: Rows) -> None:
         """Add a block of weighted equations."""
-        matrix, target, weights = rows
-        self._count(matrix.T @ (weights * target), target, weights)
+        if rows.first > 0 and self._normal is None:
+            rows = rows._replace(matrix=torch.nn.functional.pad(rows.matrix, (rows.first, 0)), first=0)
+        self._right[rows.first :] += (rows.matrix.T @ (rows.weights * rows.target)).double()
+        self._count(rows)
         if self._normal is None:
             self._kept.append(rows)
-            self._kept_rows += len(target)
+            self._kept_rows += len(rows.target)
             few = self._kept_rows < self.size or self.size > DENSE_LIMIT
             if self._method in ("dual", "qr", "cg") or (self._method == "auto" and few):
                 return
@@ -158,17 +161,21 @@ class LeastSquares:
         if self._normal is not None:
             raise ValueError("Add equations known by their products before those with a matrix.")
         self._operators.append(operator)
-        self._count(operator.adjoint(operator.weights * operator.target), operator.target, operator.weights)
+        self._right += operator.adjoint(operator.weights * operator.target).double()
+        self._count(operator)
 
-    def _count(self, right: Tensor, target: Tensor, weights: Tensor) -> None:
+    def _count(self, equations: Rows | Operator) -> None:
         self._trace = self._gram = None
-        self._right += right.double()
-        self._square += float((weights * target * target).sum())
-        self._weight += float(weights.sum())
+        self._square += float((equations.weights * equations.target**2).sum())
+        self._weight += float(equations.weights.sum())
 
     def _accumulate(self, rows: Rows) -> None:
         assert self._normal is not None
-        add_gram(self._normal, rows.matrix * rows.weights.sqrt()[:, None])
+        weighted = rows.matrix * rows.weights.sqrt()[:, None]
+        if rows.first == 0:
+            add_gram(self._normal, weighted)
+        else:
+            self._normal[rows.first :, rows.first :] += _gram(weighted.T)
 
     def trace(self) -> float:
         """Trace of the normal matrix, the scale that a relative damping refers to."""

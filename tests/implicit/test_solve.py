@@ -20,7 +20,7 @@ def problem(rows, columns, seed=0, rank=None):
 
 def by_numpy(rows, damping, C, r):
     """The KKT system in full."""
-    A, y, w = (part.numpy() for part in rows)
+    A, y, w = (part.numpy() for part in rows[:3])
     n, m = A.shape[1], len(r)
     kkt = np.block([[A.T @ (w[:, None] * A) + damping * np.eye(n), C.numpy().T], [C.numpy(), np.zeros((m, m))]])
     return np.linalg.solve(kkt, np.concatenate([A.T @ (w * y), r.numpy()]))[:n]
@@ -127,10 +127,19 @@ def test_auto_takes_the_smaller_form():
     assert least_squares([many], 50, many.matrix, damping=1.0).method == "primal"
 
 
+@pytest.mark.parametrize("method", ["primal", "dual"])
+def test_rows_may_leave_out_the_first_unknowns(method):
+    rows, _, _ = problem(60, 20)
+    late = Rows(rows.matrix[:, 8:], rows.target, rows.weights, first=8)
+    whole = late._replace(matrix=torch.nn.functional.pad(late.matrix, (8, 0)), first=0)
+    left, right = (least_squares([rows, extra], 20, rows.matrix, damping=0.1, method=method) for extra in (late, whole))
+    torch.testing.assert_close(left.x, right.x)
+
+
 def test_blocks_add_up():
     rows, C, r = problem(60, 20)
     whole = least_squares([rows], 20, rows.matrix, damping=0.1, constraints=(C, r))
-    parts = [Rows(*(part[k : k + 7] for part in rows)) for k in range(0, 60, 7)]
+    parts = [Rows(*(part[k : k + 7] for part in rows[:3])) for k in range(0, 60, 7)]
     split = least_squares(parts, 20, rows.matrix, damping=0.1, constraints=(C, r))
     torch.testing.assert_close(split.x, whole.x)
 
