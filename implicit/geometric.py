@@ -106,7 +106,7 @@ def with_evidence(edit: Edit, before: Soundness, resolution: int) -> Edit:
         notes = (f"The edited field cannot be meshed as it is: {error}",)
         return replace(edit, before=before, notes=notes, status=EditStatus.STRAY_PIECES)
     edit = replace(edit, before=before, after=after, notes=changes(before, after))
-    if edit.status is EditStatus.DONE and after.topology.components > before.topology.components:
+    if edit.status is EditStatus.DONE and after.pieces > before.pieces:
         edit = replace(edit, status=EditStatus.STRAY_PIECES)
     return edit
 

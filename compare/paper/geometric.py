@@ -36,9 +36,13 @@ BUMPS = {
     "bunny": (0.34, 0.19, 0.07),
     "rocker-arm": (0.05, 0.41, 0.15),
 }
-AZIMUTH = {"spot": 300.0, "cactus": 45.0, "bracket": 200.0, "bunny": 60.0, "rocker-arm": 20.0}
-ELEVATION = {"spot": 20.0, "cactus": 20.0, "bracket": -30.0, "bunny": 20.0, "rocker-arm": 20.0}
-FROM_BELOW = Camera(90.0, -60.0)
+CAMERAS = {
+    "spot": Camera(300.0),
+    "cactus": Camera(45.0),
+    "bracket": Camera(90.0, -60.0),  # its under side
+    "bunny": Camera(60.0),
+    "rocker-arm": Camera(20.0),
+}
 HEIGHT = 0.1  # of the longest side, of bump and stretch
 SHARE = 0.25  # of the area that moves
 PARTS = 16
@@ -153,7 +157,7 @@ def _picture(tasks: list[_Task]) -> Figure:
     figure = Figure(figsize=(1.9 * len(tasks) + 0.5, 5.6), layout="constrained")
     grid = figure.subplots(3, len(tasks), squeeze=False)
     for column, task in enumerate(tasks):
-        camera = FROM_BELOW if task.kind == "letters" else Camera(AZIMUTH[task.name], ELEVATION[task.name])
+        camera = CAMERAS[task.name]
         field = task.subject.field
         fine = 160 if task.kind == "letters" else 96
         start = surface_view(field, partial(_target, task), fine)
@@ -165,7 +169,7 @@ def _picture(tasks: list[_Task]) -> Figure:
         for axes in grid[:, column]:
             axes.set_xlim(*grid[1, column].get_xlim())
             axes.set_ylim(*grid[1, column].get_ylim())
-    colour_bar(figure, list(grid[0]), 1.0, "target / largest")
+    colour_bar(figure, [*grid[0], *grid[1]], 1.0, "target / largest")
     colour_bar(figure, list(grid[2]), 0.1, "(achieved - target) / largest")
     return figure
 
@@ -187,10 +191,9 @@ def _error(task: _Task, V: ndarray) -> ndarray:
 def _findings(task: _Task) -> list[Finding]:
     part, what = "geometric", f"{task.name}, {task.kind}"
     edit, before = task.edit, task.edit.before
-    sound = "" if before is None else f"|grad f| at its 1st percentile {before.slope_low:.2f}"
+    sound = "" if before is None else f"The 1st percentile of the slope went from {before.slope_low:.2f}"
     if before is not None and edit.after is not None:
-        pieces = f"{before.topology.components} to {edit.after.topology.components} pieces"
-        sound = f"{sound} to {edit.after.slope_low:.2f}, {pieces}."
+        sound = f"{sound} to {edit.after.slope_low:.2f}, the pieces from {before.pieces} to {edit.after.pieces}."
     ended = " ".join([edit.status.value, sound, *edit.notes])
     found = [
         Finding(part, f"{what}: rms of the error field", task.rms(), note=ended),
