@@ -10,7 +10,7 @@ The integrals carry quadrature weights, so a result does not depend on how many 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
@@ -129,3 +129,14 @@ class Killing:
         if b < normal:
             return 1.0
         return self.bending if a < normal else self.thickness
+
+
+def total_energy(energies: Iterable[Energy], space: DeformationSpace, x: Float[Tensor, " s"]) -> float:
+    """The value of some energies at a displacement, without solving."""
+    return float(
+        sum(
+            (rows.weights * (rows.matrix @ x[rows.first :] - rows.target) ** 2).sum()
+            for energy in energies
+            for rows in energy.rows(space)
+        )
+    )

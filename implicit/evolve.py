@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, Protocol
@@ -556,10 +556,3 @@ def _on_surface(field: Field, points: Tensor) -> Tensor:
             f"{0.02 * field.size:.3g} from it. Move them there first with project_to_surface."
         )
     return placed
-
-
-def total_energy(energies: Iterable[Energy], space: DeformationSpace, x: Tensor) -> float:
-    """The value of some energies at a displacement, without solving."""
-    return float(
-        sum((rows.weights * (rows.matrix @ x - rows.target) ** 2).sum() for e in energies for rows in e.rows(space))
-    )

@@ -7,8 +7,7 @@ import torch
 
 from implicit import Field, sample_surface, shapes, surface_quadrature
 from implicit.deformation import DeformationSpace, Frame
-from implicit.energies import Killing, NormalTarget, Smoothness, VectorTarget
-from implicit.evolve import total_energy
+from implicit.energies import Killing, NormalTarget, Smoothness, VectorTarget, total_energy
 from implicit.tangential import CosineFeatures
 
 
