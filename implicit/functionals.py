@@ -187,7 +187,7 @@ class _Way:
         value, gradient = field.value_and_gradient(sample.points)
         slope = field.gradient_length(gradient)
         normals = gradient / slope[:, None]
-        # A cell between two sheets of the surface may be far from both; no more than half of it is believed.
+        # Where two sheets come close the field's slope vanishes between them, and the first order means nothing.
         limit = field.size / 100
         length = (-value / slope).clamp(-limit, limit)
         return cls(length, normals, sample.weights * (normals * sample.normals).sum(dim=1))
