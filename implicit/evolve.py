@@ -36,6 +36,9 @@ from implicit.trust import Trust, miss
 # Where Newton's method leaves points, relative to the field's size, with a margin.
 PRECISION = {torch.float32: 4e-6, torch.float64: 4e-12}
 
+# Corrections after a step whose surface is to settle.
+SETTLINGS = 4
+
 Progress = Callable[[int, int, dict[str, Any]], None]
 Row = dict[str, Any]
 Asked = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
@@ -156,6 +159,8 @@ class StepProblem:
     first_damping: float = 1e-7  # where that choice begins, relative to the trace of the normal matrix
     least_damping: float = 0.0  # how far it may fall in later steps, in the same unit
     allowed_miss: float = 0.02  # nonlinear part of the motion that is accepted, relative to the motion
+    # Weights of the starting points by which the surface is brought to where the linear model sends them, see _settled.
+    settle: Float[Tensor, " i"] | None = None
     probe: Tensor | None = None  # points whose motion decides whether the step is trusted; None: the carried ones
     # Motion along the surface that the normal motion leaves open, of the carried points (all, tracked ones last).
     slide: Callable[[Tensor, Tensor], Tensor] | None = None
@@ -317,6 +322,8 @@ class _Loop:
         x, moved = trial.x, trial.moved
         way, arrived_at, arrived = trial.way, trial.arrived_at, trial.arrived
         part = 1.0
+        if problem.settle is not None:
+            x = x + _settled(problem, trial, state.points)
         try:
             if self._changing:
                 part = self._undivided(field, x, space)
@@ -328,8 +335,9 @@ class _Loop:
             elif guard.surface is not None and not self._changing:
                 guard.look(moved)
             moved = field.with_theta(field.theta + space.split(x)[0])
-            if guard.hard or problem.probe is not None:
-                way = _way(problem, x, carried)
+            if guard.hard or problem.probe is not None or problem.settle is not None:
+                if problem.settle is None:
+                    way = _way(problem, x, carried)
                 arrived_at, arrived = newton_to_surface(moved, carried + way, reach=trial.reach)
         except NotHeldError:
             return EditStatus.CONSTRAINT_NOT_HELD
@@ -431,7 +439,7 @@ class _Loop:
         trust = self._trust
         damping = trust.begin(problem.first_damping)
         for solves in range(1, trust.tries + 1):
-            solution, x = self._solve(system, problem.damping, damping, fixed)
+            solution, x = self._solve(system, problem, damping, fixed)
             if solution.status is SolveStatus.FAILED:
                 return EditStatus.NOT_FINITE
             last, ratio = self._try(state.field, problem, solution, x, solves, carried)
@@ -476,22 +484,51 @@ class _Loop:
         return trial, missed / allowed if kept > (0.98 if self._changing else 0.995) else math.inf
 
     def _solve(
-        self, system: LeastSquares, damping: float | None, relative: float, fixed: tuple[Tensor, Tensor] | None
+        self, system: LeastSquares, problem: StepProblem, relative: float, fixed: tuple[Tensor, Tensor] | None
     ) -> tuple[Solution, Tensor]:
         """The minimiser, and what the constraints leave of it."""
+        damping = relative * system.trace() if problem.damping is None else problem.damping
         if fixed is None:
-            solution = system.solve(damping, relative_damping=relative)
+            solution = system.solve(damping)
             return solution, solution.x
         C, r = fixed
         if self._guard.holding.enforce == "projection":
-            solution = system.solve(damping, relative_damping=relative)
+            solution = system.solve(damping)
             return solution, solution.x - torch.linalg.pinv(C) @ (C @ solution.x)
         held = self._guard.binding(C, r, None)
-        solution = system.solve(damping, (C[held], r[held]), relative_damping=relative)
+        solution = system.solve(damping, (C[held], r[held]))
         broken = self._guard.binding(C, r, solution.x)
         if bool((broken & ~held).any()):
-            solution = system.solve(damping, (C[broken], r[broken]), relative_damping=relative)
+            solution = system.solve(damping, (C[broken], r[broken]))
         return solution, solution.x
+
+
+def _settled(problem: StepProblem, trial: _Trial, points: Tensor) -> Tensor:
+    """What to add to a step's unknowns so that the surface goes where the linear model sends the starting points.
+
+    A step that minimises strain moves far along the surface, and where the normal turns on the way the surface misses
+    by ripples that cost more strain than the whole motion. So the rest of the way is taken by Newton's method: normal
+    motions, each a small least squares. It stops when a correction no longer halves what is left.
+    """
+    assert problem.settle is not None
+    goal = points + trial.way[: len(points)]
+    field, at = trial.moved, trial.arrived_at[: len(points)]
+    change = torch.zeros_like(trial.x)
+    left = float("inf")
+    for _ in range(SETTLINGS):
+        gap = ((goal - at) * field.normal(at)).sum(dim=1)
+        size = float(problem.settle @ gap.square())
+        if not size < 0.25 * left:
+            break
+        left = size
+        step = _assemble(StepProblem(DeformationSpace(field), [NormalTarget(at, gap, problem.settle)])).solve()
+        moved = field.with_theta(field.theta + step.x)
+        arrived_at, arrived = newton_to_surface(moved, goal, reach=trial.reach)
+        if not bool(arrived.all()):
+            break
+        field, at = moved, arrived_at
+        change[: len(step.x)] += step.x
+    return change
 
 
 def _probed(problem: StepProblem, carried: Tensor) -> Tensor:

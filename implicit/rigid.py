@@ -3,11 +3,14 @@
 Each step minimises E_K + alpha E_C over the parameters and the coefficients of a tangential basis together
 [paper, section 4.3]: E_K = int |J + J^T|^2 is zero just for infinitesimal rigid motions (Killing fields). The paper
 trains a second network for the tangential part; a linear basis makes each step one least squares.
+
+All is computed in float64: the damping that suits these systems is below what single precision resolves.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -22,6 +25,10 @@ from implicit.regions import Handle
 from implicit.sampling import sample_surface
 from implicit.surface import SurfaceSample
 from implicit.tangential import CosineFeatures, TangentialModel
+
+# Damping of a step relative to the trace of its normal matrix. Ten times less lets ripples in, which cost strain as
+# soon as a motion is not small; ten times more holds the surface back.
+DAMPING = 1e-8
 
 
 def rigid_edit(
@@ -52,8 +59,8 @@ def rigid_edit(
         bending, thickness: Weights of the parts of E_K (see implicit.energies.Killing). The paper's energy has 1 for
             both; what lies off the surface then costs as much as strain on it. The default leaves half the
             tangential energy on the bundled cow, with the same handles.
-        tangential: Basis of the motion along the surface; None takes 400 cosine features.
-        points: How many points carry the energies, or the sample itself.
+        tangential: Basis of the motion along the surface; None takes CosineFeatures(field).
+        points: How many points carry the energies, spread as far apart as can be, or the sample itself.
         damping: Penalty on the squares of the unknowns; None adapts it to the linearity error.
         constraints: Functionals to hold, such as Volume().
         resolution: Of the quadrature that measures the constraints.
@@ -69,27 +76,32 @@ def rigid_edit(
         raise ValueError(f"rigid_edit needs a field in 3 dimensions, but this one has {field.dimension}.")
     if steps < 1:
         raise ValueError(f"steps must be at least 1, but is {steps}.")
-    sample = points if isinstance(points, SurfaceSample) else sample_surface(field, points, seed=seed)
+    precise = field.to(torch.float64)
+    if isinstance(points, SurfaceSample):
+        sample = points.to(torch.float64)
+    else:
+        sample = sample_surface(precise, points, "farthest", seed=seed)
     operation = _Rigid(
         list(handles),
         sample,
         steps,
         alpha,
         (bending, thickness),
-        CosineFeatures(field, seed=seed) if tangential is None else tangential,
+        CosineFeatures(precise, seed=seed) if tangential is None else tangential,
         damping,
     )
-    return evolve(
-        field,
+    edit = evolve(
+        precise,
         operation,
         sample,
         steps=steps,
         constraints=constraints,
         resolution=resolution,
-        track=track,
+        track=None if track is None else track.to(precise.theta),
         wanted=operation.wanted(),
         progress=progress,
     )
+    return replace(edit, field=edit.field.to(field.dtype))
 
 
 class _Rigid:
@@ -130,18 +142,20 @@ class _Rigid:
         return torch.where((self._total > 0)[:, None], whole, torch.full_like(whole, float("nan")))
 
     def step(self, state: State) -> StepProblem:
-        space = DeformationSpace(state.field, self._tangential)
         held = self._total > 0
         target = (self.goal((state.step + 1) / self._steps) - state.points)[held]
         reach = VectorTarget(
             state.points[held], target, self._alpha * (self._sample.weights * self._total.clamp(max=1))[held]
         )
         strain = Killing(state.points, self._sample.weights, self._bending, self._thickness)
-        # The next step sees where the held points really are, so a tenth of nonlinear motion costs less than the
-        # damping that would prevent it (measured on common rotations of all handles). Less damping than it begins with
-        # lets fine ripples in, which cost strain: 2 to 3 times the energy at a hundredth of it.
         return StepProblem(
-            space, [strain, reach], self._damping, first_damping=3e-8, least_damping=3e-8, allowed_miss=0.1
+            DeformationSpace(state.field, self._tangential),
+            [strain, reach],
+            self._damping,
+            first_damping=DAMPING,
+            least_damping=DAMPING,
+            allowed_miss=0.3,  # for the surface settles where the step sends it
+            settle=self._sample.weights,
         )
 
     def finished(self, state: State, history: Sequence[Row]) -> bool:

@@ -39,11 +39,11 @@ class CosineFeatures:
     Args:
         field: Gives dimension, dtype, device and the length scale: x is measured in halves of the field's size.
         waves: How many cosines.
-        frequency: Standard deviation of the wave vectors; 4 suits shapes that fill the bounds.
+        frequency: Standard deviation of the wave vectors; 8 suits shapes that fill the bounds.
         seed: Of the random waves.
     """
 
-    def __init__(self, field: Field, *, waves: int = 400, frequency: float = 4.0, seed: int = 0) -> None:
+    def __init__(self, field: Field, *, waves: int = 600, frequency: float = 8.0, seed: int = 0) -> None:
         generator = torch.Generator().manual_seed(seed)
         self._center = field.bounds.mean(dim=0)
         self._half = field.size / 2
