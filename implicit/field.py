@@ -313,20 +313,35 @@ def decoder_field(
     decoder: nn.Module | Callable[[Tensor, Tensor], Tensor],
     latent: Float[Tensor, " l"],
     *,
-    level: float = 0.0,
-    inside: Literal["negative", "positive"] = "negative",
-    bounds: Bounds = CUBE,
+    level: float | None = None,
+    inside: Literal["negative", "positive"] | None = None,
+    bounds: Bounds | None = None,
     units: Units | None = None,
+    weights: Iterable[str] | None = None,
 ) -> Field:
     """A field whose parameters are the latent code of a generative model; the decoder itself stays as it is.
 
     Args:
         decoder: Maps points (N, D) and one code (L,) to values (N,) or (N, 1).
         latent: The code (L,) to start from; `write_back` stores the edited code in it.
-        level, inside, bounds, units: As for Field.
+        level, inside, bounds: As for Field; None takes the decoder's attribute of that name if it has one, else 0,
+            "negative" and the cube [-1, 1]^3.
+        units: As for Field.
+        weights: Names or patterns of the decoder's own parameters to edit together with the code; None edits the code
+            alone.
     """
     if latent.ndim != 1:
         raise ValueError(f"latent must be one code of shape (L,), but has shape {tuple(latent.shape)}.")
+    level = getattr(decoder, "level", 0.0) if level is None else level
+    inside = getattr(decoder, "inside", "negative") if inside is None else inside
+    bounds = getattr(decoder, "bounds", CUBE) if bounds is None else bounds
+    if weights is not None:
+        if not isinstance(decoder, nn.Module):
+            raise TypeError(f"Only the weights of a torch module can be edited, but the decoder is a {type(decoder)}.")
+        patterns = [weights] if isinstance(weights, str) else list(weights)
+        chosen = ["latent", *(f"decoder.{pattern}" for pattern in patterns)]
+        both = _WithCode(decoder, latent)
+        return Field(both, parameters=chosen, level=level, inside=inside, bounds=bounds, units=units)
     module = _frozen_copy(decoder) if isinstance(decoder, nn.Module) else None
 
     def store(theta: Tensor) -> None:
@@ -339,6 +354,18 @@ def decoder_field(
     field._setup(function, store, latent.detach(), layout, level, inside, bounds, units)
     field.module = module
     return field
+
+
+class _WithCode(nn.Module):
+    """A decoder with its code as one more parameter, which shares the caller's memory."""
+
+    def __init__(self, decoder: nn.Module, latent: Tensor) -> None:
+        super().__init__()
+        self.latent = nn.Parameter(latent.detach(), requires_grad=False)
+        self.decoder = decoder
+
+    def forward(self, points: Tensor) -> Tensor:
+        return self.decoder(points, self.latent)
 
 
 def _decoded(decoder: nn.Module | Callable[[Tensor, Tensor], Tensor]) -> Callable[[Tensor, Tensor], Tensor]:
