@@ -4,6 +4,7 @@ The method is boundary sensitivity [Berzins, Ibing, Kobbelt: Neural Implicit Sha
 Sensitivity, ICLR 2023, arXiv:2304.12951].
 """
 
+from implicit.checkpoints import load_checkpoint
 from implicit.evolve import Edit, EditStatus
 from implicit.extraction import SurfaceError, extract_mesh, project_to_surface
 from implicit.field import Field, Units, decoder_field, load_field, save_field
@@ -14,6 +15,7 @@ from implicit.models import Siren
 from implicit.regions import Along, Ball, Box, HalfSpace, Handle, NearPoints, Region, RigidMotion
 from implicit.rigid import rigid_edit
 from implicit.sampling import sample_surface
+from implicit.semantic import CodePrior, prescribe, semantic_edit
 from implicit.sensitivity import adjoint, basis, normal_displacement
 from implicit.smoothing import smooth
 from implicit.surface import SurfaceSample, surface_quadrature
@@ -23,6 +25,7 @@ __all__ = [
     "Area",
     "Ball",
     "Box",
+    "CodePrior",
     "Edit",
     "EditStatus",
     "Field",
@@ -49,12 +52,15 @@ __all__ = [
     "fit_field",
     "geometric_edit",
     "integrate",
+    "load_checkpoint",
     "load_field",
     "normal_displacement",
+    "prescribe",
     "project_to_surface",
     "rigid_edit",
     "sample_surface",
     "save_field",
+    "semantic_edit",
     "smooth",
     "surface_quadrature",
 ]

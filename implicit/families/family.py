@@ -56,38 +56,62 @@ class Family:
         return decoder_field(lambda points, theta: self.distance(theta, points), parameters)
 
     def nearest(
-        self, points: Float[Tensor, "n 3"], start: Float[Tensor, " p"], *, iterations: int = 50
+        self,
+        inside: Callable[[Float[Tensor, "n 3"]], Tensor],
+        surface: Float[Tensor, "m 3"],
+        start: Float[Tensor, " p"],
+        *,
+        resolution: int = 24,
     ) -> tuple[Float[Tensor, " p"], float]:
-        """The member whose surface the points lie on, in the least-squares sense: what an edited shape has become.
+        """The member nearest to a shape: what the parameters of an edited one have become.
 
-        Levenberg and Marquardt's method on the distances of the points, from parameters nearby.
+        First the smoothed insides are matched on a grid, from coarse to fine, so that a part that is too long is seen
+        all along; then the distances of surface points are made small. Both by Levenberg and Marquardt's method.
 
         Args:
-            points: All over a surface, such as the vertices of an extracted mesh.
+            inside: Points to whether they lie inside the shape, in the family's coordinates.
+            surface: Points all over its surface, such as the vertices of an extracted mesh.
             start: Parameters to begin from.
-            iterations: Most steps.
+            resolution: Of the grid over [-1, 1]^3.
 
         Returns:
-            The parameters, float64, and the root-mean-square distance of the points to that member, a length.
+            The parameters, float64, and the root-mean-square distance of the surface points to that member, a length.
         """
-        points, theta = points.double(), start.double().clone()
+        middles = (torch.arange(resolution, dtype=torch.float64) + 0.5) * (2 / resolution) - 1
+        grid = torch.stack(torch.meshgrid(middles, middles, middles, indexing="ij"), dim=-1).reshape(-1, 3)
+        truth = inside(grid).double()
+        surface, theta = surface.double(), start.double()
+        # Wider than the ranges, for an edit may leave them, but no part may turn inside out.
+        lower, upper = torch.tensor(list(self.ranges.values()), dtype=torch.float64).T
+        bounds = (torch.maximum(lower - (upper - lower), 0.3 * lower), 2 * upper - lower)
+        for width in (0.06, 0.03):
+            near = (self.distance(theta, grid).abs() < 4 * width) | (truth > 0.5)
 
-        def misses(theta: Tensor) -> Tensor:
-            return self.distance(theta, points)
+            def misses(theta: Tensor, x: Tensor = grid[near], y: Tensor = truth[near], h: float = width) -> Tensor:
+                return torch.sigmoid(-self.distance(theta, x) / h) - y
 
-        miss, damping = misses(theta), 1e-3
-        for _ in range(iterations):
-            J = torch.func.jacfwd(misses)(theta)
-            normal = J.T @ J
-            diagonal = normal.diagonal() + 1e-9 * normal.diagonal().max()
-            step = torch.linalg.solve(normal + damping * torch.diag(diagonal), -(J.T @ miss))
-            tried = misses(theta + step)
-            if float(tried.square().sum()) < float(miss.square().sum()):
-                theta, miss, damping = theta + step, tried, damping / 5
-                if float(step.norm()) < 1e-9:
-                    break
-            else:
-                damping *= 4
-                if damping > 1e6:
-                    break
-        return theta, float(miss.square().mean().sqrt())
+            theta = _least_squares(misses, theta, bounds)
+        theta = _least_squares(lambda theta: self.distance(theta, surface), theta, bounds)
+        return theta, float(self.distance(theta, surface).square().mean().sqrt())
+
+
+def _least_squares(
+    misses: Callable[[Tensor], Tensor], theta: Tensor, bounds: tuple[Tensor, Tensor], iterations: int = 30
+) -> Tensor:
+    miss, damping = misses(theta), 1e-3
+    for _ in range(iterations):
+        J = torch.func.jacfwd(misses)(theta)
+        normal = J.T @ J
+        diagonal = normal.diagonal() + 1e-9 * normal.diagonal().max()
+        step = torch.linalg.solve(normal + damping * torch.diag(diagonal), -(J.T @ miss))
+        step = torch.minimum(torch.maximum(theta + step, bounds[0]), bounds[1]) - theta
+        tried = misses(theta + step)
+        if float(tried.square().sum()) < float(miss.square().sum()):
+            theta, miss, damping = theta + step, tried, damping / 5
+            if float(step.norm()) < 1e-9:
+                break
+        else:
+            damping *= 4
+            if damping > 1e6:
+                break
+    return theta
