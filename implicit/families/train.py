@@ -177,9 +177,30 @@ def _model(family: Family, learner: Learner, parameters: Tensor) -> FamilyModel:
         decoder = trained
     else:
         assert isinstance(trained, (DeepSdf, DualSdf))
+        spread = float(latents.std(dim=0).square().mean().sqrt())
+        _scale_codes(trained, spread)
+        latents = latents / spread
         decoder = type(trained)(**(trained.describe()["arguments"] | {"weight_norm": True}))
         decoder.load_state_dict(with_weight_norm(trained.state_dict(), decoder))
     assert encoder is None or isinstance(encoder, ImNetEncoder)
     if encoder is not None:
         encoder.cpu().eval().requires_grad_(False)
     return FamilyModel(family, decoder.eval().requires_grad_(False), latents, parameters, encoder)
+
+
+@torch.no_grad()
+def _scale_codes(decoder: DeepSdf | DualSdf, factor: float) -> None:
+    """Make decoder(x, z) what decoder(x, factor * z) was, by the columns that meet the code.
+
+    Codes are given out with a spread of one, that of DualSDF's prior, so that a damping means the same in all models.
+    """
+    if isinstance(decoder, DeepSdf):
+        first, again = decoder.get_submodule("lin0"), decoder.get_submodule(f"lin{decoder.skip}")
+        heads = [(first, again, decoder.latent + 3)]
+    else:
+        fine, coarse = decoder.deepsdf_net, decoder.prim_attr_net
+        heads = [(fine.net1[0], fine.net2[0], decoder.latent + 3), (coarse.net1[0], coarse.net2[0], decoder.latent)]
+    for first, again, inputs in heads:
+        first.weight[:, : decoder.latent] *= factor
+        start = again.weight.shape[1] - inputs
+        again.weight[:, start : start + decoder.latent] *= factor
