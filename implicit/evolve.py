@@ -109,6 +109,8 @@ class StepProblem:
     allowed_miss: float = 0.02  # nonlinear part of the motion that is accepted, relative to the motion
     # Motion along the surface that the normal motion leaves open, of the carried points (all, tracked ones last).
     slide: Callable[[Tensor, Tensor], Tensor] | None = None
+    # Brings the carried points, where they were predicted, onto the moved surface; takes and returns what Newton does.
+    place: Callable[..., tuple[Tensor, Tensor]] = newton_to_surface
     row: Row | None = None  # what the operation adds to the record of the step
 
 
@@ -312,7 +314,7 @@ def _trial(
         reach = 2 * float(way.norm(dim=1).max()) + cell
         good = False
         try:
-            arrived_at, arrived = newton_to_surface(moved, carried + way, reach=reach)
+            arrived_at, arrived = problem.place(moved, carried + way, reach=reach)
         except ValueError:
             last = EditStatus.SURFACE_LOST
         else:

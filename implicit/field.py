@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from os import PathLike, fspath
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
@@ -376,7 +376,7 @@ def _decoded(decoder: nn.Module | Callable[[Tensor, Tensor], Tensor]) -> Callabl
 
 
 def save_field(field: Field, path: str | PathLike[str]) -> None:
-    """Write the field as safetensors: its weights, and its architecture's name and arguments as text.
+    """Write the field as safetensors: its weights (and code), and its architecture's name and arguments as text.
 
     Any architecture made by `implicit.models.build` can be saved: it states itself in `describe()`.
 
@@ -395,8 +395,7 @@ def save_field(field: Field, path: str | PathLike[str]) -> None:
             f"implicit.models.register), but the field holds a {type(module).__name__}. Save its state_dict yourself."
         )
     state = {name: tensor.detach().cpu().contiguous() for name, tensor in module.state_dict().items()}
-    if any(block.name not in state for block in field.layout):
-        raise TypeError("save_field stores the weights of a module, but this field edits a latent code. Save the code.")
+    # A decoder's field holds its code beside the weights.
     for block in field.layout:
         state[block.name] = field.theta[block.where].view(block.shape).cpu().contiguous()
     header = {
@@ -408,6 +407,8 @@ def save_field(field: Field, path: str | PathLike[str]) -> None:
         "bounds": field.bounds.tolist(),
         "units": [field.units.scale, list(field.units.offset)],
     }
+    if field._raw.__name__ == "decoded":
+        header["latent"] = field.layout[0].name
     # One entry: safetensors writes several in any order, and the same field should give the same bytes.
     metadata = {"field": json.dumps(header)}
     replace_file(path, save({name: tensor.clone() for name, tensor in state.items()}, metadata=metadata))
@@ -453,15 +454,17 @@ def load_field(path: str | PathLike[str], *, device: torch.device | str = "cpu")
         scale, offset = header["units"]
         dtypes = {tensor.dtype for tensor in state.values() if tensor.is_floating_point()}
         module = module.to(device=device, dtype=dtypes.pop() if len(dtypes) == 1 else None)
+        code = state.pop(header["latent"]) if "latent" in header else None
         module.load_state_dict(state)
-        return Field(
-            module,
-            parameters=header["parameters"],
-            level=float(header["level"]),
-            inside=header["inside"],
-            bounds=header["bounds"],
-            units=Units(scale, tuple(offset)),
-        )
+        place: dict[str, Any] = {
+            "level": float(header["level"]),
+            "inside": header["inside"],
+            "bounds": header["bounds"],
+            "units": Units(scale, tuple(offset)),
+        }
+        if code is not None:
+            return decoder_field(module, code.to(device), **place)
+        return Field(module, parameters=header["parameters"], **place)
     except (KeyError, TypeError, RuntimeError, ValueError) as error:
         raise ValueError(f"{fspath(path)} does not fit the architecture that it names: {error}") from error
 

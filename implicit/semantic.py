@@ -101,11 +101,11 @@ def semantic_edit(
     *,
     steps: int = 15,
     stride: float | None = None,
-    damping: float | None = 0.1,
+    damping: float | None = None,
     prior: CodePrior | None = None,
     trust_region: float | None = None,
     least_cosine: float = 0.5,
-    tolerance: float = 0.1,
+    tolerance: float = 0.05,
     track: Float[Tensor, "m 3"] | None = None,
     progress: Progress | None = None,
 ) -> Edit:
@@ -117,7 +117,8 @@ def semantic_edit(
         displacements: Where to, a vector a point; zeros hold a point.
         steps: Most steps.
         stride: No point aims farther than this in one step, a length; None is a fortieth of the field's size.
-        damping: Penalty on |d_z|^2, the paper's lambda; None adapts it to the linearity error.
+        damping: Penalty on |d_z|^2, the paper's lambda; None adapts it to the linearity error. For codes of spread one,
+            0.1 takes a few times the steps and 10 some hundred times [appendix B].
         prior: Pulls the code towards those of the training shapes.
         trust_region: Largest change of the code in one step, in the code's own unit; the damping is raised until the
             step stays within.
@@ -269,7 +270,7 @@ class _Semantic:
         damping = self._damping
         if self._radius is not None:
             damping = _damping_within(self._radius, energies, space, damping)
-        return StepProblem(space, energies, damping, row=row)
+        return StepProblem(space, energies, damping, place=self._place, row=row)
 
     def finished(self, state: State, history: Sequence[Row]) -> bool:
         space = self._space_at(state)
@@ -284,42 +285,65 @@ class _Semantic:
 
     def _space_at(self, state: State) -> _PointSpace:
         if self._space is None or self._space.field is not state.field:
-            self._space = _PointSpace(state.field, state.points)
+            self._space = _PointSpace(state.field, state.points, reach=0.01 * state.field.size)
         return self._space
+
+    def _place(self, field: Field, points: Tensor, *, reach: float) -> tuple[Tensor, Tensor]:
+        """Points on the moved surface; the pass that this takes linearises the next step there, too."""
+        own = len(self._ways)
+        self._space = _PointSpace(field, points[:own], reach)
+        if len(points) == own:
+            return self._space.points, self._space.arrived
+        tracked, arrived = newton_to_surface(field, points[own:], reach=reach)
+        return torch.cat([self._space.points, tracked]), torch.cat([self._space.arrived, arrived])
 
 
 class _PointSpace(DeformationSpace):
-    """The motions of a few points, linearised once by one pass, and a slide along the surface that is not solved for."""
+    """The motions of a few points near the surface, from one forward and one backward pass.
 
-    def __init__(self, field: Field, points: Tensor) -> None:
+    Values and gradients give a Newton step to the surface, and the sensitivities serve there as well: they differ from
+    those at the points by the part of a radius of curvature that the step is. Where it is longer than CLOSE, the points
+    are brought to the surface by further passes first.
+    """
+
+    CLOSE = 1e-3  # of the field's size; one Newton step then leaves some 1e-5 of it
+
+    def __init__(self, field: Field, points: Tensor, reach: float) -> None:
         super().__init__(field)
-        self._points = points
-        self.slide = torch.zeros_like(points)
+        self.slide = torch.zeros_like(points)  # motion along the surface, which is not solved for
+        self.arrived = torch.ones(len(points), dtype=torch.bool, device=points.device)
         self._rows: Tensor | None = None
-        if len(points) * self.parameters <= BLOCK:
-            _, gradients, rows = value_and_gradients(field, points)
-            lengths = field.gradient_length(gradients)
-            self._rows = -rows / lengths[:, None]
-        else:
-            gradients = field.gradient(points)
-            lengths = field.gradient_length(gradients)
+        for attempt in range(2):
+            values, gradients, lengths = self._linearise(field, points)
+            step = -(values / lengths)[:, None] * (gradients / lengths[:, None])
+            if attempt == 1 or float(step.norm(dim=1).max()) <= self.CLOSE * field.size:
+                break
+            points, self.arrived = newton_to_surface(field, points, reach=reach)
+        self.points = points if attempt == 1 else points + step
         self.normals = gradients / lengths[:, None]
 
-    def _is_here(self, points: Tensor) -> bool:
-        return self._rows is not None and torch.equal(points, self._points)
+    def _linearise(self, field: Field, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        if len(points) * self.parameters > BLOCK:
+            values, gradients = field.value_and_gradient(points)
+            return values, gradients, field.gradient_length(gradients)
+        values, gradients, rows = value_and_gradients(field, points)
+        lengths = field.gradient_length(gradients)
+        self._rows = -rows / lengths[:, None]
+        return values, gradients, lengths
 
     def normal_rows(self, points: Tensor) -> Iterator[tuple[slice, Tensor]]:
-        if self._rows is not None and self._is_here(points):
+        """As in the base, but for the points that it knows."""
+        if self._rows is not None and torch.equal(points, self.points):
             yield slice(0, len(points)), self._rows
         else:
             yield from super().normal_rows(points)
 
     def displacement(self, points: Tensor, x: Tensor) -> Tensor:
         """As in the base, with the slide of the points; any further ones come after them."""
-        if self._rows is not None and self._is_here(points):
+        if self._rows is not None and torch.equal(points, self.points):
             return self.slide + self.normals * (self._rows @ x)[:, None]
         moved = super().displacement(points, x)
-        moved[: len(self._points)] += self.slide
+        moved[: len(self.points)] += self.slide
         return moved
 
 

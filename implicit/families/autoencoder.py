@@ -1,8 +1,10 @@
 """Learning a family with an encoder: voxels to a code, and the code to occupancies, which are compared.
 
-    loss = mean (f(x; E(voxels_s)) - [x inside s])^2
+    loss = mean (f(x; E(voxels_s)) - o_s(x))^2,    o_s = clamp(1/2 - d_s / ramp, 0, 1)
 
-Coordinates are halved on the way: IM-NET's cube is [-0.5, 0.5]^3, the families' [-1, 1]^3.
+The occupancy o_s falls from 1 to 0 over a ramp about the surface, where IM-NET's own jumps: between 0 and 1 the decoder
+is linear in its last layer, so that it learns a distance there, and the edits get a gradient to go by. Coordinates are
+halved on the way: IM-NET's cube is [-0.5, 0.5]^3, the families' [-1, 1]^3.
 Source: Chen and Zhang, "Learning implicit fields for generative shape modeling", CVPR 2019, section 3.
 """
 
@@ -17,6 +19,7 @@ from implicit.families.samples import Samples
 from implicit.models.imnet import ImNet, ImNetEncoder
 
 SCALE = 0.5  # of IM-NET's coordinates to the family's
+RAMP = 0.1  # in the family's units; narrower than any part is thick
 POINTS_A_SHAPE = 256
 
 
@@ -64,7 +67,7 @@ class AutoEncoder:
         points, distances = some.draw(POINTS_A_SHAPE, generator)
         codes = self.encoder(self.grids[chosen].to(points)).repeat_interleave(POINTS_A_SHAPE, dim=0)
         values = self.decoder(SCALE * points.flatten(0, 1), codes)
-        return (values - (distances.flatten() < 0).to(values)).square().mean()
+        return (values - (0.5 - distances.flatten() / RAMP).clamp(0, 1)).square().mean()
 
     def latents(self) -> Float[Tensor, "s l"]:
         """The codes of the training shapes."""
