@@ -38,8 +38,8 @@ _FIRST = {"imnet": "linear_1.bias", "dualsdf": "deepsdf_net.net1.0.bias", "deeps
 
 _LAYOUTS = {
     "imnet": "linear_1 ... linear_7, weight and bias each",
-    "dualsdf": "deepsdf_net and prim_attr_net, each with net1.k and net2.k under weight norm (weight_g, weight_v, bias)",
-    "deepsdf": "lin0 ... linK, all but the last under weight norm (weight_g, weight_v, bias)",
+    "dualsdf": "deepsdf_net and prim_attr_net, each with net1.k and net2.k under weight norm",
+    "deepsdf": "lin0 ... linK, all but the last under weight norm",
 }
 
 # What may stand beside a decoder's tensors.
@@ -196,8 +196,8 @@ def _deepsdf(state: State) -> DeepSdf:
     short = [k for k in range(depth - 1) if _matrix(state, f"lin{k}")[0] == width - inputs]
     if len(short) != 1:
         raise ValueError(
-            f"one of lin0 ... lin{depth - 2} must put out {width - inputs} numbers, so that the input can be given again "
-            f"after it, but {len(short)} do"
+            f"one of lin0 ... lin{depth - 2} must put out {width - inputs} numbers, so that the input can be given "
+            f"again after it, but {len(short)} do"
         )
     return DeepSdf(inputs - 3, width, depth, short[0] + 1, weight_norm="lin0.weight_v" in state)
 

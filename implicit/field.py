@@ -333,7 +333,7 @@ def decoder_field(
     if latent.ndim != 1:
         raise ValueError(f"latent must be one code of shape (L,), but has shape {tuple(latent.shape)}.")
     level = getattr(decoder, "level", 0.0) if level is None else level
-    inside = getattr(decoder, "inside", "negative") if inside is None else inside
+    side: Literal["negative", "positive"] = getattr(decoder, "inside", "negative") if inside is None else inside
     bounds = getattr(decoder, "bounds", CUBE) if bounds is None else bounds
     if weights is not None:
         if not isinstance(decoder, nn.Module):
@@ -341,7 +341,7 @@ def decoder_field(
         patterns = [weights] if isinstance(weights, str) else list(weights)
         chosen = ["latent", *(f"decoder.{pattern}" for pattern in patterns)]
         both = _WithCode(decoder, latent)
-        return Field(both, parameters=chosen, level=level, inside=inside, bounds=bounds, units=units)
+        return Field(both, parameters=chosen, level=level, inside=side, bounds=bounds, units=units)
     module = _frozen_copy(decoder) if isinstance(decoder, nn.Module) else None
 
     def store(theta: Tensor) -> None:
@@ -351,7 +351,7 @@ def decoder_field(
     field = Field.__new__(Field)
     layout = (Parameter("latent", latent.shape, slice(0, latent.numel())),)
     function = _decoded(module if module is not None else decoder)
-    field._setup(function, store, latent.detach(), layout, level, inside, bounds, units)
+    field._setup(function, store, latent.detach(), layout, level, side, bounds, units)
     field.module = module
     return field
 

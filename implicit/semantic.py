@@ -101,7 +101,7 @@ def semantic_edit(
     *,
     steps: int = 15,
     stride: float | None = None,
-    damping: float | None = None,
+    damping: float | None = 0.1,
     prior: CodePrior | None = None,
     trust_region: float | None = None,
     least_cosine: float = 0.5,
@@ -117,8 +117,10 @@ def semantic_edit(
         displacements: Where to, a vector a point; zeros hold a point.
         steps: Most steps.
         stride: No point aims farther than this in one step, a length; None is a fortieth of the field's size.
-        damping: Penalty on |d_z|^2, the paper's lambda; None adapts it to the linearity error. For codes of spread one,
-            0.1 takes a few times the steps and 10 some hundred times [appendix B].
+        damping: Penalty on |d_z|^2, the paper's lambda, for codes of spread one: 10 takes some hundred steps, 0.1 about
+            ten, 0.001 three [appendix B]. None adapts it to the linearity error, which is quickest; but with little
+            damping an edit that no shape of the family fits drives the code out to where there are none, so give a
+            prior with it.
         prior: Pulls the code towards those of the training shapes.
         trust_region: Largest change of the code in one step, in the code's own unit; the damping is raised until the
             step stays within.
@@ -141,9 +143,7 @@ def semantic_edit(
     """
     start = _starting_points(field, points, displacements)
     _check_options(steps, stride, damping, trust_region, least_cosine, tolerance)
-    operation = _Semantic(
-        field, start, displacements, stride, damping, prior, trust_region, least_cosine, tolerance
-    )
+    operation = _Semantic(field, start, displacements, stride, damping, prior, trust_region, least_cosine, tolerance)
     wanted = torch.where(operation.used[:, None], displacements, torch.full_like(displacements, float("nan")))
     return evolve(field, operation, start, steps=steps, track=track, wanted=wanted, progress=progress)
 
@@ -217,9 +217,7 @@ def _check_options(
         if value is not None and not value > 0:
             raise ValueError(f"{name} must be None or positive, but is {value}.")
     if not 0 <= least_cosine < 1 or not 0 < tolerance < 1:
-        raise ValueError(
-            f"least_cosine and tolerance must be between 0 and 1, but are {least_cosine} and {tolerance}."
-        )
+        raise ValueError(f"least_cosine and tolerance must be between 0 and 1, but are {least_cosine} and {tolerance}.")
 
 
 class _Semantic:

@@ -15,7 +15,7 @@ from compare.paper.request import Finding, Request, write_findings
 __all__ = ["PARTS", "Finding", "Request", "draw_parts"]
 
 # Modules of this package, in the order of the paper.
-PARTS: tuple[str, ...] = ()
+PARTS: tuple[str, ...] = ("semantic", "semantic_basis", "semantic_spheres", "semantic_damping")
 
 
 def draw_parts(request: Request, parts: Sequence[str] = PARTS) -> list[Finding]:

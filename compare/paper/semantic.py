@@ -1,4 +1,4 @@
-"""Semantic editing [section 4.2]: regions and vectors above, what the models make of them below.
+"""Semantic editing [section 4.2]: regions and vectors above, what the models make below.
 
 The last column asks for what no member of the family is, a longer wing on one side and a shorter one on the other: it is
 not reached, and the status says so.
@@ -83,7 +83,13 @@ def _wings(name: str, model: families.FamilyModel, resolution: int) -> list[Find
             longer = (after["wing_span"] - before["wing_span"]) / 2
             note = _moved_otherwise(before, after, "wing_span")
             findings.append(
-                Finding(PART, f"{label}: half the change of the family's span, of what was asked", longer / wanted, None, note)
+                Finding(
+                    PART,
+                    f"{label}: half the change of the family's span, of what was asked",
+                    longer / wanted,
+                    None,
+                    note,
+                )
             )
     return findings
 
@@ -101,8 +107,9 @@ def _picture(columns: list[tuple[FamilyEdit, Camera]], resolution: int) -> Figur
         points, ways = edit.points()
         result = implicit.semantic_edit(edit.field, points, ways)
         V, F = implicit.extract_mesh(edit.field, resolution)
-        inside = sum(handle.weights(torch.from_numpy(V).to(edit.field.theta)) for handle in edit.handles)
-        coloured = (inside.numpy() > 0)[F].all(axis=1)
+        weights = [handle.weights(torch.from_numpy(V).to(edit.field.theta)) for handle in edit.handles]
+        chosen: np.ndarray = (torch.stack(weights).amax(dim=0) > 0).numpy()
+        coloured = chosen[F].all(axis=1)
         paint(above, View(V, F, np.zeros(len(V))), np.where(coloured[:, None], MOVED, SURFACE), camera)
         _draw_vectors(above, edit, V, camera)
         W, G = implicit.extract_mesh(result.field, resolution)
@@ -110,7 +117,10 @@ def _picture(columns: list[tuple[FamilyEdit, Camera]], resolution: int) -> Figur
         above.set_title(edit.name, fontsize=8)
         below.set_title(f"{result.status.name.lower().replace('_', ' ')}, {len(result.history)} steps", fontsize=8)
         low = np.minimum(above.get_xlim()[0], below.get_xlim()[0]), np.minimum(above.get_ylim()[0], below.get_ylim()[0])
-        high = np.maximum(above.get_xlim()[1], below.get_xlim()[1]), np.maximum(above.get_ylim()[1], below.get_ylim()[1])
+        high = (
+            np.maximum(above.get_xlim()[1], below.get_xlim()[1]),
+            np.maximum(above.get_ylim()[1], below.get_ylim()[1]),
+        )
         for axes in (above, below):
             axes.set_xlim(low[0], high[0])
             axes.set_ylim(low[1], high[1])

@@ -33,7 +33,9 @@ def draw(request: Request) -> list[Finding]:
             note = f"{result.status.name}, {result.seconds:.1f} s"
             findings += [
                 Finding(PART, f"{label}: steps to a tenth", len(result.history), paper, note),
-                Finding(PART, f"{label}: rms motion of the rest, of what was asked", float(moved) / float(ways[0].norm())),
+                Finding(
+                    PART, f"{label}: rms motion of the rest, of what was asked", float(moved) / float(ways[0].norm())
+                ),
                 Finding(PART, f"{label}: change of the code", code),
             ]
     return findings

@@ -44,7 +44,13 @@ def _both_ways(edit: FamilyEdit, parameter: str) -> list[Finding]:
     findings = []
     for name, field, steps, time, status in (
         ("ours", ours.field, len(ours.history), seconds, ours.status.name),
-        ("spheres", edit.field.with_theta(theirs.code), theirs.steps, theirs.seconds, "REACHED" if theirs.reached else "NOT_REACHED"),
+        (
+            "spheres",
+            edit.field.with_theta(theirs.code),
+            theirs.steps,
+            theirs.seconds,
+            "REACHED" if theirs.reached else "NOT_REACHED",
+        ),
     ):
         label = f"{edit.name}, {name}"
         before, after = edit.parameters_before(), edit.parameters_after(field)
@@ -53,8 +59,17 @@ def _both_ways(edit: FamilyEdit, parameter: str) -> list[Finding]:
         findings += [
             Finding(PART, f"{label}: seconds", time, note=f"{steps} steps, {status}"),
             Finding(PART, f"{label}: what the surface missed, rms of what was asked", _missed(field, points, ways)),
-            Finding(PART, f"{label}: change of {parameter}, of what was asked", (after[parameter] - before[parameter]) / asked),
-            Finding(PART, f"{label}: largest change of another parameter, of what was asked", others[0] / asked, note=others[1]),
+            Finding(
+                PART,
+                f"{label}: change of {parameter}, of what was asked",
+                (after[parameter] - before[parameter]) / asked,
+            ),
+            Finding(
+                PART,
+                f"{label}: largest change of another parameter, of what was asked",
+                others[0] / asked,
+                note=others[1],
+            ),
         ]
     return findings
 

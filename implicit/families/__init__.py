@@ -1,10 +1,7 @@
 """Families of parametric shapes, models trained on them that come with the package, and the training itself.
 
-| family | parameters |
-|---|---|
-| chairs | width, depth and thickness of the seat, length and thickness of the four legs, height and thickness of the back |
-| airplanes | length and radius of the fuselage, span, chord, sweep and place of the wings, span of the tail, height of the fin |
-| lamps | height, radii of foot and pole, both radii and height of the shade |
+Chairs have parameters for the seat, the four legs and the back; airplanes for the fuselage, the wings, the tailplane
+and the fin; lamps for the foot, the pole and the shade.
 """
 
 from __future__ import annotations

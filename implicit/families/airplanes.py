@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from torch import Tensor
 
 from implicit.families.family import Family
-from implicit.families.solids import capsule, length, polygon, product, slab, union
+from implicit.families.solids import Length, capsule, length, polygon, product, slab, union
 
 THICKNESS = 0.1  # of wings, tailplane and fin
 EDGE = 0.02  # radius of their edges
@@ -32,7 +32,12 @@ def _blade(
     """A slab over a parallelogram: from the middle of the fuselage out to the span, its tip swept back."""
     rear = front - chord
     tip = span - EDGE
-    corners = [(0.0, rear + EDGE), (tip, rear - sweep + EDGE), (tip, front - sweep - EDGE), (0.0, front - EDGE)]
+    corners: list[tuple[Length, Length]] = [
+        (0.0, rear + EDGE),
+        (tip, rear - sweep + EDGE),
+        (tip, front - sweep - EDGE),
+        (0.0, front - EDGE),
+    ]
     half = THICKNESS / 2 - EDGE
     return product(polygon(out, along, corners), slab(across, -half, half)) - EDGE
 

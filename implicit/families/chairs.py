@@ -23,9 +23,7 @@ def _chair(p: Mapping[str, Tensor], x: Tensor, y: Tensor, z: Tensor) -> Tensor:
     foot = under - p["leg_length"]
     thick = p["leg_thickness"]
     leg = box(x.abs(), y, z.abs(), (half - thick, foot, front - thick), (half, under / 2, front), EDGE)
-    back = box(
-        x, y, z, (-half, under, -front), (half, p["back_height"], p["back_thickness"] - front), EDGE
-    )
+    back = box(x, y, z, (-half, under, -front), (half, p["back_height"], p["back_thickness"] - front), EDGE)
     return union(seat, leg, back)
 
 

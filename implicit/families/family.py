@@ -16,7 +16,7 @@ Shape = Callable[[Mapping[str, Tensor], Tensor, Tensor, Tensor], Tensor]
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """Shapes within [-0.85, 0.85]^3, symmetric about the plane x = 0, y up.
+    """Shapes within [-0.9, 0.9]^3, symmetric about the plane x = 0, y up.
 
     Attributes:
         name: Such as "chairs".

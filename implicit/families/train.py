@@ -8,7 +8,7 @@ from pathlib import Path
 
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 
 from implicit.checkpoints import Architecture
 from implicit.families.autodecoder import AutoDecoder, find_codes
@@ -130,7 +130,11 @@ def reconstruct(model: FamilyModel, parameters: Float[Tensor, "s p"], *, seed: i
 
 def summary(scores: Float[Tensor, " s"]) -> dict[str, float]:
     """Of reconstruction scores: how many, their mean and the least."""
-    return {"shapes": len(scores), "mean_iou": round(float(scores.mean()), 4), "least_iou": round(float(scores.min()), 4)}
+    return {
+        "shapes": len(scores),
+        "mean_iou": round(float(scores.mean()), 4),
+        "least_iou": round(float(scores.min()), 4),
+    }
 
 
 def _learner(
@@ -195,12 +199,13 @@ def _scale_codes(decoder: DeepSdf | DualSdf, factor: float) -> None:
     Codes are given out with a spread of one, that of DualSDF's prior, so that a damping means the same in all models.
     """
     if isinstance(decoder, DeepSdf):
-        first, again = decoder.get_submodule("lin0"), decoder.get_submodule(f"lin{decoder.skip}")
-        heads = [(first, again, decoder.latent + 3)]
+        heads = [(decoder.get_submodule("lin0"), decoder.get_submodule(f"lin{decoder.skip}"), decoder.latent + 3)]
     else:
         fine, coarse = decoder.deepsdf_net, decoder.prim_attr_net
         heads = [(fine.net1[0], fine.net2[0], decoder.latent + 3), (coarse.net1[0], coarse.net2[0], decoder.latent)]
     for first, again, inputs in heads:
+        assert isinstance(first, nn.Linear)
+        assert isinstance(again, nn.Linear)
         first.weight[:, : decoder.latent] *= factor
-        start = again.weight.shape[1] - inputs
+        start = again.in_features - inputs
         again.weight[:, start : start + decoder.latent] *= factor

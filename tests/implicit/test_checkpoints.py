@@ -85,9 +85,7 @@ def dualsdf_state(latent=128, width=512, spheres=256, *, dropout=True):
         ("prim_attr_net", latent, 4 * spheres, 2),
     ):
         for k in range(4):
-            normed(
-                state, f"{net}.net1.{places * k}", inputs if k == 0 else width, width - inputs if k == 3 else width
-            )
+            normed(state, f"{net}.net1.{places * k}", inputs if k == 0 else width, width - inputs if k == 3 else width)
         for k in range(4):
             normed(state, f"{net}.net2.{places * k}", width, width)
         plain(state, f"{net}.net2.{places * 4}", width, outputs)
@@ -217,7 +215,7 @@ def test_a_file_cut_short_is_refused(tmp_path, suffix, kept):
     (save_file if suffix == ".safetensors" else torch.save)(SMALL["deepsdf"](), path)
     whole = path.read_bytes()
     path.write_bytes(whole[: int(kept * len(whole))])
-    with pytest.raises(ValueError, match="cut short|not a whole"):
+    with pytest.raises(ValueError, match=r"cut short|not a whole"):
         implicit.load_checkpoint(path, "deepsdf")
 
 
@@ -237,7 +235,7 @@ def test_code_in_a_pickle_is_refused_and_not_run(tmp_path, how):
         path.write_bytes(pickle.dumps(content, protocol=2))
     else:
         torch.save(content, path, _use_new_zipfile_serialization=how == "torch")
-    with pytest.raises(ValueError, match="not executed|no checkpoint"):
+    with pytest.raises(ValueError, match=r"not executed|no checkpoint"):
         implicit.load_checkpoint(path, "deepsdf")
     assert not mark.exists()
 
