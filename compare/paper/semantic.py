@@ -1,7 +1,7 @@
 """Semantic editing [section 4.2]: regions and vectors above, what the models make below.
 
-The last column asks for what no member of the family is, a longer wing on one side and a shorter one on the other: it is
-not reached, and the status says so.
+The last column asks for what no member of the family is, a longer wing on one side and a shorter one on the other: it
+is not reached, and the status says so.
 """
 
 from __future__ import annotations
@@ -108,8 +108,7 @@ def _picture(columns: list[tuple[FamilyEdit, Camera]], resolution: int) -> Figur
         result = implicit.semantic_edit(edit.field, points, ways)
         V, F = implicit.extract_mesh(edit.field, resolution)
         weights = [handle.weights(torch.from_numpy(V).to(edit.field.theta)) for handle in edit.handles]
-        chosen: np.ndarray = (torch.stack(weights).amax(dim=0) > 0).numpy()
-        coloured = chosen[F].all(axis=1)
+        coloured = (torch.stack(weights).amax(dim=0) > 0)[torch.from_numpy(F)].all(dim=1).numpy()
         paint(above, View(V, F, np.zeros(len(V))), np.where(coloured[:, None], MOVED, SURFACE), camera)
         _draw_vectors(above, edit, V, camera)
         W, G = implicit.extract_mesh(result.field, resolution)

@@ -11,7 +11,7 @@ from time import perf_counter
 import torch
 
 import implicit
-from compare.paper.family_edits import FamilyEdit, chair_leg, longer_wing, uneven_wings
+from compare.paper.family_edits import FamilyEdit, chair_leg, leg_ends, longer_wing, uneven_wings, wing_ends
 from compare.paper.request import Finding, Request
 from compare.spheres import sphere_edit, spheres_near
 from implicit import families
@@ -32,6 +32,7 @@ def draw(request: Request) -> list[Finding]:
 
 
 def _both_ways(edit: FamilyEdit, parameter: str) -> list[Finding]:
+    ends = leg_ends if parameter == "leg_length" else wing_ends
     points, ways = edit.points()
     began = perf_counter()
     ours = implicit.semantic_edit(edit.field, points, ways)
@@ -55,10 +56,12 @@ def _both_ways(edit: FamilyEdit, parameter: str) -> list[Finding]:
         label = f"{edit.name}, {name}"
         before, after = edit.parameters_before(), edit.parameters_after(field)
         asked = float(ways[0].norm())
+        change = ends(edit.model, field, 96) - ends(edit.model, edit.field, 96)
         others = max((abs(after[n] - before[n]), n) for n in before if n != parameter)
         findings += [
             Finding(PART, f"{label}: seconds", time, note=f"{steps} steps, {status}"),
-            Finding(PART, f"{label}: what the surface missed, rms of what was asked", _missed(field, points, ways)),
+            Finding(PART, f"{label}: change of what was grasped, of what was asked", float(change[0]) / asked),
+            Finding(PART, f"{label}: change of its counterparts, of what was asked", float(change[1:].mean()) / asked),
             Finding(
                 PART,
                 f"{label}: change of {parameter}, of what was asked",
@@ -83,10 +86,3 @@ def _grasped(
         centers = decoder.spheres(code)[1][chosen]
     nearest = torch.cdist(centers, points).argmin(dim=1)
     return chosen, ways[nearest]
-
-
-def _missed(field: implicit.Field, points: torch.Tensor, ways: torch.Tensor) -> float:
-    """Distance of where the points were sent from the edited surface; only points on faces across the way."""
-    goal = points + ways
-    surface = implicit.project_to_surface(field, goal, reach=field.size)
-    return float((surface - goal).norm(dim=1).square().mean().sqrt() / ways.norm(dim=1).max())

@@ -11,7 +11,7 @@ Source: Chen and Zhang, "Learning implicit fields for generative shape modeling"
 from __future__ import annotations
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from implicit.families.family import Family
@@ -23,11 +23,16 @@ RAMP = 0.1  # in the family's units; narrower than any part is thick
 POINTS_A_SHAPE = 256
 
 
-def voxels(family: Family, parameters: Float[Tensor, "s p"], resolution: int) -> Bool[Tensor, "s 1 r r r"]:
-    """Whether the middles of the cells of [-1, 1]^3 lie inside each shape."""
-    middles = (torch.arange(resolution) + 0.5) * (2 / resolution) - 1
+def voxels(family: Family, parameters: Float[Tensor, "s p"], resolution: int) -> Float[Tensor, "s 1 r r r"]:
+    """How much of each cell of [-1, 1]^3 is inside each shape, from 0 to 1.
+
+    Half a cell of either would be lost to the encoder by a yes or no, more than a tenth of what a leg is thick: with it
+    chairs that were not learned came back with an IoU of 0.76 at best.
+    """
+    cell = 2 / resolution
+    middles = (torch.arange(resolution) + 0.5) * cell - 1
     grid = torch.stack(torch.meshgrid(middles, middles, middles, indexing="ij"), dim=-1).reshape(1, -1, 3)
-    inside = [family.distance(row[None], grid) < 0 for row in parameters]
+    inside = [(0.5 - family.distance(row[None], grid) / cell).clamp(0, 1) for row in parameters]
     return torch.cat(inside).view(-1, 1, resolution, resolution, resolution)
 
 
@@ -46,7 +51,7 @@ class AutoEncoder:
         decoder: ImNet,
         encoder: ImNetEncoder,
         samples: Samples,
-        grids: Bool[Tensor, "s 1 r r r"],
+        grids: Float[Tensor, "s 1 r r r"],
         batch: int,
     ) -> None:
         self.decoder, self.encoder, self.samples, self.grids = decoder, encoder, samples, grids
@@ -75,7 +80,7 @@ class AutoEncoder:
 
 
 @torch.no_grad()
-def encode(encoder: ImNetEncoder, grids: Bool[Tensor, "s 1 r r r"]) -> Float[Tensor, "s l"]:
+def encode(encoder: ImNetEncoder, grids: Float[Tensor, "s 1 r r r"]) -> Float[Tensor, "s l"]:
     """Codes of shapes given by their voxels."""
     dtype = next(encoder.parameters()).dtype
     return torch.cat([encoder(part.to(dtype)) for part in grids.split(32)])

@@ -109,7 +109,7 @@ def reconstruction_scores(
         seed: Of the distances.
     """
     codes = reconstruct(model, parameters, seed=seed)
-    inside = voxels(model.family, parameters, resolution).flatten(1)
+    inside = voxels(model.family, parameters, resolution).flatten(1) > 0.5
     middles = (torch.arange(resolution) + 0.5) * (2 / resolution) - 1
     grid = model.scale * torch.stack(torch.meshgrid(middles, middles, middles, indexing="ij"), dim=-1).reshape(-1, 3)
     scores = []
