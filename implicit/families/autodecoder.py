@@ -21,6 +21,8 @@ from implicit.models.dualsdf import DualSdf
 
 TRUNCATION = 0.1  # farther than this the decoder only learns the sign
 PULL = 1e-4
+# Codes are given out with a spread of one, and have about a sixth of that in training: so the pull on new ones is weaker.
+PULL_OF_NEW = PULL / 36
 COARSE_WEIGHT = 0.1
 COARSE_SHARE = 4  # one in so many points is used for the spheres
 SPREAD = 0.1  # standard deviation of the first codes
@@ -56,7 +58,7 @@ class AutoDecoder:
     def loss(self, generator: torch.Generator) -> Tensor:
         """Of a fresh batch."""
         points, distances = self.samples.draw(self._each, generator)
-        return _loss(self.decoder, self.codes, points, distances)
+        return _loss(self.decoder, self.codes, points, distances, PULL)
 
     def latents(self) -> Float[Tensor, "s l"]:
         """The codes of the training shapes."""
@@ -70,10 +72,10 @@ def find_codes(
     *,
     steps: int = 400,
     batch: int = 300,
-    learning_rate: float = 0.02,
+    learning_rate: float = 0.1,
     seed: int = 0,
 ) -> Float[Tensor, "s l"]:
-    """Codes of shapes that the decoder has not seen: the same loss with the decoder held.
+    """Codes, of a spread of one, of shapes that the decoder has not seen: the same loss with the decoder held.
 
     Args:
         samples: Of the shapes.
@@ -86,18 +88,18 @@ def find_codes(
     optimiser = torch.optim.Adam([codes])
     for step in range(steps):
         points, distances = samples.draw(batch, generator)
-        loss = _loss(decoder, codes, points, distances)
+        loss = _loss(decoder, codes, points, distances, PULL_OF_NEW)
         (codes.grad,) = torch.autograd.grad(loss, codes)
         optimiser.param_groups[0]["lr"] = learning_rate * (1 + math.cos(math.pi * step / steps)) / 2
         optimiser.step()
     return codes.detach()
 
 
-def _loss(decoder: DeepSdf | DualSdf, codes: Tensor, points: Tensor, distances: Tensor) -> Tensor:
+def _loss(decoder: DeepSdf | DualSdf, codes: Tensor, points: Tensor, distances: Tensor, pull: float) -> Tensor:
     each = points.shape[1]
     values = decoder(points.flatten(0, 1), codes.repeat_interleave(each, dim=0))
     error = values - distances.flatten().clamp(-TRUNCATION, TRUNCATION)
-    loss = error.abs().mean() + PULL * codes.square().sum(dim=1).mean()
+    loss = error.abs().mean() + pull * codes.square().sum(dim=1).mean()
     if isinstance(decoder, DualSdf):
         some = slice(None, None, COARSE_SHARE)
         coarse = decoder.coarse(points[:, some], codes) - distances[:, some]
