@@ -21,7 +21,7 @@ from implicit.models.dualsdf import DualSdf
 
 TRUNCATION = 0.1  # farther than this the decoder only learns the sign
 PULL = 1e-4
-# Codes are given out with a spread of one, and have about a sixth of that in training: so the pull on new ones is weaker.
+# Codes are given out with a spread of one, and have about a sixth of that in training: new ones are pulled less.
 PULL_OF_NEW = PULL / 36
 COARSE_WEIGHT = 0.1
 COARSE_SHARE = 4  # one in so many points is used for the spheres
