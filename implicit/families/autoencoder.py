@@ -26,8 +26,8 @@ POINTS_A_SHAPE = 256
 def voxels(family: Family, parameters: Float[Tensor, "s p"], resolution: int) -> Float[Tensor, "s 1 r r r"]:
     """How much of each cell of [-1, 1]^3 is inside each shape, from 0 to 1.
 
-    A yes or no would hide where in a cell a face lies, from an encoder of 32^3 cells a fifth of what a leg is thick: with
-    it chairs that were not learned came back with an IoU of 0.76.
+    A yes or no would hide where in a cell a face lies, with 32^3 cells a fifth of what a leg is thick: so trained, the
+    encoder brought chairs that it had not learned back with an IoU of 0.76.
     """
     cell = 2 / resolution
     middles = (torch.arange(resolution) + 0.5) * cell - 1
