@@ -12,6 +12,7 @@ from implicit.fit import FitStatus, Training, fit_field
 from implicit.functionals import Area, Functional, Integral, SurfaceIntegral, Volume, VolumeIntegral, integrate
 from implicit.geometric import geometric_edit
 from implicit.models import Siren
+from implicit.modes import SurfaceModes, mirror_symmetry, surface_modes
 from implicit.regions import Along, Ball, Box, HalfSpace, Handle, NearPoints, Region, RigidMotion
 from implicit.rigid import rigid_edit
 from implicit.sampling import sample_surface
@@ -40,6 +41,7 @@ __all__ = [
     "Siren",
     "SurfaceError",
     "SurfaceIntegral",
+    "SurfaceModes",
     "SurfaceSample",
     "Training",
     "Units",
@@ -54,6 +56,7 @@ __all__ = [
     "integrate",
     "load_checkpoint",
     "load_field",
+    "mirror_symmetry",
     "normal_displacement",
     "prescribe",
     "project_to_surface",
@@ -62,5 +65,6 @@ __all__ = [
     "save_field",
     "semantic_edit",
     "smooth",
+    "surface_modes",
     "surface_quadrature",
 ]

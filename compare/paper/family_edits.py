@@ -58,13 +58,14 @@ class FamilyEdit:
 
 
 def chair_leg(model: families.FamilyModel, shape: int | None = None, amount: float = AMOUNT) -> FamilyEdit:
-    """One leg shorter by the amount; None takes the shape nearest to the middle of the family."""
+    """One leg shorter by the amount, or longer if that is negative; None takes the shape nearest to the middle."""
     shape = _middle(model) if shape is None else shape
     p = dict(zip(model.family.parameters, model.parameters[shape].tolist(), strict=True))
     x, z, foot = p["seat_width"] / 2, p["seat_depth"] / 2, -p["seat_thickness"] - p["leg_length"]
     thick = p["leg_thickness"]
     region = _box(model, (x - thick - 0.05, foot - 0.05, z - thick - 0.05), (x + 0.05, foot + 0.06, z + 0.05))
-    return FamilyEdit("one leg shorter", model, shape, (implicit.Handle(region, (0.0, amount * model.scale, 0.0)),))
+    name = "one leg shorter" if amount > 0 else "one leg longer"
+    return FamilyEdit(name, model, shape, (implicit.Handle(region, (0.0, amount * model.scale, 0.0)),))
 
 
 def longer_wing(model: families.FamilyModel, shape: int | None = None, amount: float = AMOUNT) -> FamilyEdit:

@@ -13,7 +13,6 @@ from compare.figures import COLOURS, Camera, paint
 from compare.paper.request import Finding, Request
 from compare.views import View
 from implicit import families
-from implicit.modes import mirror_symmetry, surface_modes
 
 PART = "semantic_basis"
 COUNT = 4
@@ -26,15 +25,15 @@ def draw(request: Request) -> list[Finding]:
     second = int((model.latents - model.latents[first]).norm(dim=1).argsort()[1])
     fields = [model.field(model.latents[k]) for k in (first, second)]
     samples = [implicit.surface_quadrature(field, 48) for field in fields]
-    directions = surface_modes(fields[0], samples[0], COUNT).directions
-    symmetry = [mirror_symmetry(f, s, directions) for f, s in zip(fields, samples, strict=True)]
+    directions = implicit.surface_modes(fields[0], samples[0], COUNT).directions
+    symmetry = [implicit.mirror_symmetry(f, s, directions) for f, s in zip(fields, samples, strict=True)]
     request.save(_picture(fields, directions, symmetry, 64 if request.quick else 128), PART)
     findings = []
     for k in range(COUNT):
         for name, measure in zip(("one chair", "its neighbour"), symmetry, strict=True):
             findings.append(Finding(PART, f"basis function {k + 1} on {name}: symmetry, 1 is even", float(measure[k])))
     own = torch.eye(len(model.latents[0]))
-    single = torch.stack([mirror_symmetry(f, s, own) for f, s in zip(fields, samples, strict=True)])
+    single = torch.stack([implicit.mirror_symmetry(f, s, own) for f, s in zip(fields, samples, strict=True)])
     findings.append(
         Finding(PART, "symmetry of the single numbers of the code on both chairs: least", float(single.min()))
     )

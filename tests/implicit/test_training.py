@@ -47,7 +47,7 @@ def test_an_interrupted_training_ends_with_the_same_bits(architecture, tmp_path)
 @pytest.mark.parametrize("architecture", ["deepsdf", "dualsdf", "imnet"])
 def test_the_loss_falls_and_codes_come_with_a_spread_of_one(architecture):
     losses = []
-    options = TINY | {"steps": 300, "batch": 1600}
+    options = TINY | {"width": 64, "steps": 300, "batch": 1600}
     model = families.train_family("lamps", architecture, progress=lambda *state: losses.append(state[2]), **options)
     assert losses[-1] < 0.5 * losses[0]
     if architecture != "imnet":  # its encoder gives codes between 0 and 1
