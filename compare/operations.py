@@ -2,7 +2,7 @@
 
 | operation | neural field | mesh |
 |---|---|---|
-| geometric | implicit.geometric_edit, the rest fixed | each vertex moved as wanted, which a mesh can always do |
+| geometric | implicit.geometric_edit, the rest fixed | each vertex moved as wanted; meshref.biharmonic beside it |
 | smooth | implicit.smooth with Volume() held | conformalised mean-curvature flow, rescaled to its volume |
 | rigid | implicit.rigid_edit | meshref.killing, linear least squares; meshref.arap beside it |
 
@@ -169,6 +169,23 @@ def edit_mesh_by_arap(case: Case, subject: Subject, wanted: Wanted) -> Outcome:
     seconds, done = perf_counter() - start, result.status is meshref.ArapStatus.CONVERGED
     details = {"iterations": result.iterations}
     return Outcome(result.V - subject.V, "ARAP", result.status.value, done, seconds, None, details)
+
+
+def edit_mesh_by_biharmonic(case: Case, subject: Subject, wanted: Wanted) -> Outcome | None:
+    """A geometric case with its falloff left to a biharmonic deformation, the second mesh method.
+
+    Vertices in the core of a region, at a weight of 1, are moved and those outside all regions held; those between
+    follow smoothly. None where every vertex is one or the other.
+    """
+    points = torch.from_numpy(subject.V)
+    weights = np.max([spec.build().weights(points).numpy() for spec in case.handles], axis=0)
+    held = np.flatnonzero((weights == 0) | (weights > 1 - 1e-9))
+    if len(held) in (0, len(weights)) or not (weights > 1 - 1e-9).any():
+        return None
+    start = perf_counter()
+    result = meshref.biharmonic(subject.V, subject.F, held, wanted.displacement[held])
+    seconds, done = perf_counter() - start, result.status is meshref.BiharmonicStatus.SOLVED
+    return Outcome(result.displacement, "biharmonic", result.status.value, done, seconds)
 
 
 def _teller(progress: Progress | None, what: str) -> Callable[[int, int, Mapping[str, Any]], None]:

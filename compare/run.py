@@ -19,7 +19,15 @@ import meshref
 from compare import records
 from compare.case import Case
 from compare.measure import ERROR_MEANS, between, error_field, measure, measure_field, strain
-from compare.operations import Outcome, Wanted, edit_field, edit_mesh, edit_mesh_by_arap, wanted_motion
+from compare.operations import (
+    Outcome,
+    Wanted,
+    edit_field,
+    edit_mesh,
+    edit_mesh_by_arap,
+    edit_mesh_by_biharmonic,
+    wanted_motion,
+)
 from compare.records import Artefact, Record
 from compare.subject import Progress, Subject, describe, prepare_subject
 from compare.table import SIDES
@@ -55,6 +63,9 @@ def run_case(case: Case, *, folder: str | PathLike[str] | None = None, progress:
     if case.operation == "rigid":
         sides["mesh, ARAP"] = edit_mesh_by_arap(case, subject, wanted)
         errors["mesh, ARAP"] = strain(subject, sides["mesh, ARAP"].displacement)
+    if case.operation == "geometric" and (smooth := edit_mesh_by_biharmonic(case, subject, wanted)) is not None:
+        sides["mesh, biharmonic"] = smooth
+        errors["mesh, biharmonic"] = error_field(case, subject, wanted, smooth, sides["implicit"])
 
     start = perf_counter()
     rows = {name: measure(case, subject, wanted, side, errors[name]) for name, side in sides.items()}

@@ -20,7 +20,7 @@ class Column:
     brief: bool = True  # whether the table of a terminal, 80 characters wide, has it
 
 
-SIDES = {"implicit": "neural", "mesh": "mesh", "mesh, ARAP": "ARAP"}
+SIDES = {"implicit": "neural", "mesh": "mesh", "mesh, ARAP": "ARAP", "mesh, biharmonic": "biharmonic"}
 
 COLUMNS = (
     Column(

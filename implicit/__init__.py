@@ -4,53 +4,73 @@ The method is boundary sensitivity [Berzins, Ibing, Kobbelt: Neural Implicit Sha
 Sensitivity, ICLR 2023, arXiv:2304.12951].
 """
 
+from implicit.basis_function import BasisFunction, basis_function, one_weight_per_layer
 from implicit.checkpoints import load_checkpoint
 from implicit.evolve import Edit, EditStatus
-from implicit.extraction import SurfaceError, extract_mesh, project_to_surface
-from implicit.field import Field, Units, decoder_field, load_field, save_field
+from implicit.expressibility import Expressibility, Verdict, expressibility
+from implicit.extraction import extract_mesh, project_to_surface
+from implicit.field import Field, SurfaceError, Units, decoder_field, load_field, save_field
 from implicit.fit import FitStatus, Training, fit_field
+from implicit.flows import Bending, MeanCurvature, Offset
 from implicit.functionals import Area, Functional, Integral, SurfaceIntegral, Volume, VolumeIntegral, integrate
 from implicit.geometric import geometric_edit
+from implicit.guard import Holding
 from implicit.models import Siren
 from implicit.modes import SurfaceModes, mirror_symmetry, surface_modes
 from implicit.regions import Along, Ball, Box, HalfSpace, Handle, NearPoints, Region, RigidMotion
 from implicit.rigid import rigid_edit
-from implicit.sampling import sample_surface
+from implicit.sampling import sample_surface, transport
 from implicit.semantic import CodePrior, prescribe, semantic_edit
 from implicit.sensitivity import adjoint, basis, normal_displacement
-from implicit.smoothing import smooth
+from implicit.smoothing import Until, explicit_step_limit, smooth
+from implicit.soundness import Soundness, field_soundness
 from implicit.surface import SurfaceSample, surface_quadrature
+from implicit.topology import Topology, mesh_topology, surface_topology
 
 __all__ = [
     "Along",
     "Area",
     "Ball",
+    "BasisFunction",
+    "Bending",
     "Box",
     "CodePrior",
     "Edit",
     "EditStatus",
+    "Expressibility",
     "Field",
     "FitStatus",
     "Functional",
     "HalfSpace",
     "Handle",
+    "Holding",
     "Integral",
+    "MeanCurvature",
     "NearPoints",
+    "Offset",
     "Region",
     "RigidMotion",
     "Siren",
+    "Soundness",
     "SurfaceError",
     "SurfaceIntegral",
     "SurfaceModes",
     "SurfaceSample",
+    "Topology",
     "Training",
     "Units",
+    "Until",
+    "Verdict",
     "Volume",
     "VolumeIntegral",
     "adjoint",
     "basis",
+    "basis_function",
     "decoder_field",
+    "explicit_step_limit",
+    "expressibility",
     "extract_mesh",
+    "field_soundness",
     "fit_field",
     "geometric_edit",
     "integrate",
@@ -59,6 +79,8 @@ __all__ = [
     "mirror_symmetry",
     "normal_displacement",
     "prescribe",
+    "mesh_topology",
+    "one_weight_per_layer",
     "project_to_surface",
     "rigid_edit",
     "sample_surface",
@@ -67,4 +89,6 @@ __all__ = [
     "smooth",
     "surface_modes",
     "surface_quadrature",
+    "surface_topology",
+    "transport",
 ]

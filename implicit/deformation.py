@@ -10,7 +10,7 @@ With s = u - n . T this is D = T + n s, so its Jacobian needs no derivative of t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -66,19 +66,33 @@ class DeformationSpace:
     Args:
         field: Whose parameters span the normal part.
         tangential: Basis of the tangential part; None allows normal motion alone.
+        directions: Orthonormal columns (P, K): the normal part is then spanned by d_theta = directions c.
     """
 
-    def __init__(self, field: Field, tangential: TangentialModel | None = None) -> None:
+    def __init__(
+        self,
+        field: Field,
+        tangential: TangentialModel | None = None,
+        directions: Float[Tensor, "p k"] | None = None,
+    ) -> None:
         self.field = field
         self.tangential = tangential
-        self.parameters = len(field.theta)
+        self.directions = directions
+        self.parameters = len(field.theta) if directions is None else directions.shape[1]
         self.size = self.parameters + (field.dimension * tangential.count if tangential is not None else 0)
 
     def split(self, x: Float[Tensor, " s"]) -> tuple[Float[Tensor, " p"], Float[Tensor, "d k"] | None]:
         """The unknowns as d_theta and the tangential coefficients, one row a coordinate."""
+        d_theta = x[: self.parameters]
+        if self.directions is not None:
+            d_theta = self.directions @ d_theta
         if self.tangential is None:
-            return x, None
-        return x[: self.parameters], x[self.parameters :].view(self.field.dimension, self.tangential.count)
+            return d_theta, None
+        return d_theta, x[self.parameters :].view(self.field.dimension, self.tangential.count)
+
+    def reduced(self, rows: Float[Tensor, "*n p"]) -> Float[Tensor, "*n k"]:
+        """Rows over the parameters as rows over the unknowns of the normal part."""
+        return rows if self.directions is None else rows @ self.directions
 
     def displacement(self, points: Float[Tensor, "n d"], x: Float[Tensor, " s"]) -> Float[Tensor, "n d"]:
         """D at surface points, a length."""
@@ -95,22 +109,34 @@ class DeformationSpace:
         start = 0
         for part in row_blocks(points, self.size):
             length = self.field.gradient_length(self.field.gradient(part))
-            rows = parameter_gradient(self.field, part).div_(-length[:, None])
+            rows = self.reduced(parameter_gradient(self.field, part).div_(-length[:, None]))
             if self.size > self.parameters:
                 rows = torch.cat([rows, rows.new_zeros(len(part), self.size - self.parameters)], dim=1)
             yield slice(start, start + len(part)), rows
             start += len(part)
 
-    def normal_slope_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k t s"]]]:
-        """Slopes of n . D along the tangent axes (one in the plane, two in space) as rows over the unknowns."""
+    def value_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k s"]]]:
+        """The change of f itself, at points anywhere, as rows over the unknowns, in blocks of points."""
+        start = 0
+        for part in row_blocks(points, self.size):
+            rows = self.reduced(parameter_gradient(self.field, part))
+            if self.size > self.parameters:
+                rows = torch.cat([rows, rows.new_zeros(len(part), self.size - self.parameters)], dim=1)
+            yield slice(start, start + len(part)), rows
+            start += len(part)
+
+    def normal_slope_rows(
+        self, points: Float[Tensor, "n d"]
+    ) -> Iterator[tuple[slice, Float[Tensor, "k t d"], Float[Tensor, "k t s"]]]:
+        """Tangent axes (one in the plane, two in space), and the slopes of n . D along them as rows."""
         start = 0
         for part in row_blocks(points, 2 * self.field.dimension * self.size):
             frame = Frame.at(self.field, part)
             _, du = _speed_and_slope(self.field, frame)
-            rows = torch.einsum("nai,nip->nap", frame.axes[:, :-1], du)
+            rows = self.reduced(torch.einsum("nai,nip->nap", frame.axes[:, :-1], du))
             if self.size > self.parameters:
                 rows = torch.cat([rows, rows.new_zeros(*rows.shape[:2], self.size - self.parameters)], dim=2)
-            yield slice(start, start + len(part)), rows
+            yield slice(start, start + len(part)), frame.axes[:, :-1], rows
             start += len(part)
 
     def vector_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k d s"]]]:
@@ -121,7 +147,8 @@ class DeformationSpace:
             gradients = self.field.gradient(part)
             length = self.field.gradient_length(gradients)
             n = gradients / length[:, None]
-            rows = n[:, :, None] * (parameter_gradient(self.field, part) / -length[:, None])[:, None, :]
+            speed = self.reduced(parameter_gradient(self.field, part) / -length[:, None])
+            rows = n[:, :, None] * speed[:, None, :]
             if self.tangential is not None:
                 phi = self.tangential.values(part)
                 flat = torch.eye(dimension, dtype=n.dtype, device=n.device) - n[:, :, None] * n[:, None, :]
@@ -131,48 +158,63 @@ class DeformationSpace:
             start += len(part)
 
     def strain_rows(
-        self, points: Float[Tensor, "n d"], entries: Sequence[tuple[int, int]]
-    ) -> Iterator[tuple[slice, Float[Tensor, "e k s"]]]:
-        """Entries (a, b) of J + J^T in the surface's own axes (tangents first, normal last), as rows.
+        self, points: Float[Tensor, "n d"], shares: Mapping[tuple[int, int], float]
+    ) -> Iterator[tuple[slice, Float[Tensor, "r k s"], Float[Tensor, "q k t"]]]:
+        """Weighted entries (a, b) of J + J^T in the surface's own axes (tangents first, normal last), turned.
 
-        Of the parameters only the speed u and its slope appear, four rows a point, and each entry is a combination
-        of at most two of them.
+        The parameters move a point's strain only through the speed u and its slope in space, the tangential functions
+        through their values and slopes. So a rotation among a point's entries, which changes no sum of squares, leaves
+        all but a few of them free of the parameters: of the five entries without the normal one, two.
+
+        Args:
+            shares: Weight of the square of each entry.
+
+        Yields:
+            Rows over all unknowns, and rows over the tangential ones alone, whose squares add up to those of the
+            entries times their shares.
         """
         start = 0
         last = self.field.dimension - 1
+        entries = list(shares)
+        roots = torch.tensor([shares[entry] ** 0.5 for entry in entries]).to(self.field.theta)
+        # A slope of the speed shows only in the entry of its axis with the normal.
+        used = [0, *(1 + a for a in range(last + 1) if (a, last) in shares)]
         for part in row_blocks(points, (len(entries) + 4) * self.size):
             frame = Frame.at(self.field, part)
             axes, n = frame.axes, frame.normals
-            u, du = _speed_and_slope(self.field, frame)
-            du = axes @ du
             shape = axes @ frame.normal_slopes @ axes.transpose(1, 2)
-            rows = torch.empty(len(entries), len(part), self.size, dtype=part.dtype, device=part.device)
+            # Entries from (u, du), and from the values and slopes (along the axes) of a function times coordinate i:
+            of_speed = n.new_zeros(len(part), len(entries), last + 2)
+            of_slide = n.new_zeros(len(part), len(entries), last + 1, last + 2)
+            # s = -n . T has the slope -(dn/dx)^T T - (dT/dx)^T n.
+            swing = axes @ frame.normal_slopes.transpose(1, 2)
             for e, (a, b) in enumerate(entries):
-                own = rows[e, :, : self.parameters]
-                torch.mul(u, (shape[:, a, b] + shape[:, b, a])[:, None], out=own)
+                bend = shape[:, a, b] + shape[:, b, a]
+                of_speed[:, e, 0] = bend
+                of_slide[:, e, :, 0] = -bend[:, None] * n
                 for here, there in ((a, b), (b, a)):
+                    of_slide[:, e, :, 1 + there] += axes[:, here]
                     if here == last:
-                        own += du[:, there]
+                        of_speed[:, e, 1 + there] += 1
+                        of_slide[:, e, :, 0] -= swing[:, there]
+                        # dT_here/dx_there, less what the normal part takes back of it
+                        of_slide[:, e, :, 1 + there] -= n
+            turn, of_speed = torch.linalg.qr(roots[:, None] * of_speed[:, :, used], mode="complete")
+            of_slide = torch.einsum("nfe,nfij->neij", turn * roots[:, None], of_slide)
+            u, du = _speed_and_slope(self.field, frame)
+            speeds = torch.cat([u[:, None], axes @ du], dim=1)[:, used]
+            touched = min(len(entries), len(used))
+            rows = torch.empty(touched, len(part), self.size, dtype=part.dtype, device=part.device)
+            own = self.reduced(of_speed[:, :touched] @ speeds)
+            rows[:, :, : self.parameters] = own.transpose(0, 1)
+            rest = rows.new_zeros(len(entries) - touched, len(part), self.size - self.parameters)
             if self.tangential is not None:
                 phi, dphi = self.tangential.values(part), self.tangential.slopes(part)
-                along = axes @ dphi
-                # s = -n . T has the slope -(dn/dx)^T T - (dT/dx)^T n, in the surface's axes:
-                swing = axes @ frame.normal_slopes.transpose(1, 2)
-                for e, (a, b) in enumerate(entries):
-                    bend = -(shape[:, a, b] + shape[:, b, a])
-                    for i in range(self.field.dimension):
-                        first = self.parameters + i * phi.shape[1]
-                        own = rows[e, :, first : first + phi.shape[1]]
-                        weight = bend * n[:, i]
-                        for here, there in ((a, b), (b, a)):
-                            if here == last:
-                                weight = weight - swing[:, there, i]
-                        torch.mul(phi, weight[:, None], out=own)
-                        for here, there in ((a, b), (b, a)):
-                            # dT_here/dx_there, less what the normal part takes back of it
-                            share = axes[:, here, i] - (n[:, i] if here == last else 0)
-                            own += share[:, None] * along[:, there]
-            yield slice(start, start + len(part)), rows
+                functions = torch.cat([phi[:, None], axes @ dphi], dim=1)
+                slides = torch.einsum("neij,njk->enik", of_slide, functions).flatten(2)
+                rows[:, :, self.parameters :] = slides[:touched]
+                rest = slides[touched:]
+            yield slice(start, start + len(part)), rows, rest
             start += len(part)
 
 

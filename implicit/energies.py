@@ -10,8 +10,9 @@ The integrals carry quadrature weights, so a result does not depend on how many 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 import torch
@@ -19,6 +20,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.deformation import DeformationSpace
+from implicit.plain import is_plain, plain_gram
 from implicit.sensitivity import adjoint, normal_displacement
 from implicit.solve import Operator, Rows
 
@@ -51,8 +53,9 @@ class NormalTarget:
             theta = adjoint(field, self.points, weights, lengths)
             return torch.cat([theta, theta.new_zeros(space.size - p)])
 
+        gram = partial(plain_gram, field, self.points, 1 / lengths) if is_plain(field) else None
         return Operator(
-            lambda x: normal_displacement(field, self.points, x[:p], lengths), back, self.target, self.weights
+            lambda x: normal_displacement(field, self.points, x[:p], lengths), back, self.target, self.weights, gram
         )
 
 
@@ -73,18 +76,26 @@ class VectorTarget:
 
 @dataclass(frozen=True, eq=False)
 class Smoothness:
-    """int w |grad_surface (n . D)|^2, the second variation of area without its curvature terms.
+    """int w |grad_surface (n . D) - target|^2, the second variation of area without its curvature terms.
 
     Added to a mean-curvature target with the step size as weight it makes the step implicit [Desbrun et al. 1999].
+
+    Args:
+        points, weights: Quadrature of the surface.
+        target: Wanted slope of the motion, a tangent vector at each point; None is zero.
     """
 
     points: Float[Tensor, "n d"]
     weights: Float[Tensor, " n"]
+    target: Float[Tensor, "n d"] | None = None
 
     def rows(self, space: DeformationSpace) -> Iterator[Rows]:
-        for where, slopes in space.normal_slope_rows(self.points):
+        for where, axes, slopes in space.normal_slope_rows(self.points):
+            wanted = slopes.new_zeros(slopes.shape[:2])
+            if self.target is not None:
+                wanted = torch.einsum("nai,ni->na", axes, self.target[where])
             for a in range(slopes.shape[1]):
-                yield Rows(slopes[:, a], torch.zeros_like(self.weights[where]), self.weights[where])
+                yield Rows(slopes[:, a], wanted[:, a], self.weights[where])
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,13 +118,25 @@ class Killing:
         d = self.points.shape[1]
         entries = [(a, b) for a in range(d) for b in range(a, d)]
         # Off the diagonal each entry stands twice in the matrix, so it counts twice.
-        shares = [(1.0 if a == b else 2.0) * self._share(a, b, d - 1) for a, b in entries]
-        used = [(entry, share) for entry, share in zip(entries, shares, strict=True) if share > 0]
-        for where, strain in space.strain_rows(self.points, [entry for entry, _ in used]):
-            weights = torch.cat([share * self.weights[where] for _, share in used])
-            yield Rows(strain.flatten(0, 1), torch.zeros_like(weights), weights)
+        shares = {(a, b): (1.0 if a == b else 2.0) * self._share(a, b, d - 1) for a, b in entries}
+        used = {entry: share for entry, share in shares.items() if share > 0}
+        for where, turned, rest in space.strain_rows(self.points, used):
+            for rows, first in ((turned, 0), (rest, space.parameters)):
+                weights = self.weights[where].repeat(len(rows))
+                yield Rows(rows.flatten(0, 1), torch.zeros_like(weights), weights, first)
 
     def _share(self, a: int, b: int, normal: int) -> float:
         if b < normal:
             return 1.0
         return self.bending if a < normal else self.thickness
+
+
+def total_energy(energies: Iterable[Energy], space: DeformationSpace, x: Float[Tensor, " s"]) -> float:
+    """The value of some energies at a displacement, without solving."""
+    return float(
+        sum(
+            (rows.weights * (rows.matrix @ x[rows.first :] - rows.target) ** 2).sum()
+            for energy in energies
+            for rows in energy.rows(space)
+        )
+    )

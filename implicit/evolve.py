@@ -3,13 +3,14 @@
 An operation states what one step minimises; what it holds fixed is a list of functionals. Constraints enter
 each step as hard rows, with the gap measured so far as their right-hand side, and are then restored to their
 value by Newton's method: the row alone is exact only to first order (the paper's own flow loses 1.6 % of the
-volume in 86 steps by that).
+volume in 86 steps by that). See implicit.guard for the constraints and implicit.trust for the damping.
 """
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, Protocol
@@ -20,14 +21,30 @@ from torch import Tensor
 
 from implicit.deformation import DeformationSpace
 from implicit.energies import Energy, NormalTarget
-from implicit.extraction import SurfaceError, newton_to_surface
-from implicit.field import Field
+from implicit.extraction import newton_to_surface
+from implicit.field import Field, SurfaceError
 from implicit.functionals import Functional
+from implicit.guard import Guard, Holding, NotHeldError
+from implicit.offsurface import FieldTarget
+from implicit.plain import is_plain
 from implicit.solve import DENSE_LIMIT, LeastSquares, Solution, SolveStatus
-from implicit.surface import SurfaceSample, surface_quadrature
+from implicit.soundness import Soundness
+from implicit.surface import MeshedSample, SurfaceSample
+from implicit.topology import Topology, settled_topology
+from implicit.trust import Trust, miss
+
+# Where Newton's method leaves points, relative to the field's size, with a margin.
+PRECISION = {torch.float32: 4e-6, torch.float64: 4e-12}
 
 Progress = Callable[[int, int, dict[str, Any]], None]
 Row = dict[str, Any]
+Asked = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+
+# Of the angle between a point's normal and the edited surface's up to which an error is measured along the former.
+LEAST_COSINE = 0.5
+
+# An edit whose error field has at most this root mean square, over the area that was to move, has reached its target.
+REACHED_SHARE = 0.1
 
 
 class EditStatus(Enum):
@@ -39,6 +56,7 @@ class EditStatus(Enum):
     NOT_FINITE = "Stopped before a step that would not be finite; the field is as it was before that step."
     SURFACE_LOST = "Stopped before a step after which the surface would vanish or leave the bounds of the field."
     CONSTRAINT_NOT_HELD = "Stopped before a step after which a constraint could not be restored to its tolerance."
+    STRAY_PIECES = "All steps were taken, but stray pieces of surface have appeared; see the notes."
     UNSTABLE = "Stopped because the steps grew beyond what a linear prediction holds for; take smaller steps."
 
 
@@ -55,6 +73,10 @@ class Edit:
         history: One row a step: energies, constraint values, residuals, step norms, seconds.
         status: How it ended.
         seconds: Wall time.
+        asked: From points and normals of the unedited surface (N, D) to what was asked there: the displacement, NaN
+            where nothing was, and the unit normals the points take along. None where only `wanted` is known.
+        before, after: How sound the field was and is, of geometric edits.
+        notes: What has become worse, a sentence each.
     """
 
     field: Field
@@ -67,23 +89,50 @@ class Edit:
     history: list[Row]
     status: EditStatus
     seconds: float
+    asked: Asked | None = None
+    before: Soundness | None = None
+    after: Soundness | None = None
+    notes: tuple[str, ...] = ()
 
-    def error_field(self) -> Float[Tensor, " i"]:
-        """Achieved minus wanted normal displacement over the largest wanted one, at the starting points.
+    def error_field(self, sample: SurfaceSample | None = None) -> Float[Tensor, " n"]:
+        """Achieved minus wanted normal displacement over the largest wanted one [paper, the error fields of fig. 4].
 
-        Achieved is measured on the edited field: each point is put where it was asked to go, and its signed
-        way from there to the edited surface is the error. NaN where nothing was asked.
+        Achieved is measured on the edited field: each point x is put at its goal g = x + wanted, and projected from
+        there to the edited surface. The signed way e along the edited surface's normal n' is the gap between the two
+        surfaces; along the normal n that x takes along the gap is e / (n . n'), to second order in e. Beyond 60 degrees
+        between the normals, where the goal folds, that line says nothing any more, and e / cos 60 is taken. An edit
+        that was asked for positions alone (a rigid one) has no such normals; there e itself is the error.
+
+        Args:
+            sample: Points of the unedited surface; None takes the starting points. A geometric edit answers for any,
+                so a dense quadrature of the unedited field shows the error between the points that carried the target.
+
+        Returns:
+            A pure number each, positive where the surface is too far out; NaN where nothing was asked.
+
+        Raises:
+            ValueError: Another sample was given, but the edit knows only of its starting points.
         """
-        asked = torch.isfinite(self.wanted).all(dim=1)
-        error = torch.full_like(self.weights, float("nan"))
-        if not bool(asked.any()):
+        points, normals, wanted, along = self.points, self.normals, self.wanted, None
+        if sample is not None:
+            if self.asked is None:
+                raise ValueError("This edit knows what was asked at its starting points only; leave sample out.")
+            points, normals = sample.points, sample.normals
+        if self.asked is not None:
+            wanted, along = self.asked(points, normals)
+        told = torch.isfinite(wanted).all(dim=1)
+        error = torch.full_like(points[:, 0], float("nan"))
+        if not bool(told.any()):
             return error
-        goal = self.points[asked] + self.wanted[asked]
-        largest = (self.wanted[asked] * self.normals[asked]).sum(dim=1).abs().max()
+        goal = points[told] + wanted[told]
+        largest = (wanted[told] * normals[told]).sum(dim=1).abs().max()
         surface, arrived = newton_to_surface(self.field, goal, reach=self.field.size / 2)
-        way = ((surface - goal) * self.field.normal(surface)).sum(dim=1)
+        facing = self.field.normal(surface)
+        way = ((surface - goal) * facing).sum(dim=1)
+        if along is not None:
+            way = way / (along[told] * facing).sum(dim=1).clamp(min=LEAST_COSINE)
         way = torch.where(arrived, way, torch.full_like(way, float("nan")))
-        error[asked] = way / largest.clamp(min=torch.finfo(way.dtype).tiny)
+        error[told] = way / largest.clamp(min=torch.finfo(way.dtype).tiny)
         return error
 
 
@@ -94,7 +143,7 @@ class State:
     field: Field
     step: int
     points: Float[Tensor, "i d"]  # the starting points, carried along
-    sample: SurfaceSample | None  # the quadrature of the current surface, where constraints need one
+    sample: SurfaceSample | None  # the quadrature of the current surface, where it is measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,11 +156,14 @@ class StepProblem:
     first_damping: float = 1e-7  # where that choice begins, relative to the trace of the normal matrix
     least_damping: float = 0.0  # how far it may fall in later steps, in the same unit
     allowed_miss: float = 0.02  # nonlinear part of the motion that is accepted, relative to the motion
+    probe: Tensor | None = None  # points whose motion decides whether the step is trusted; None: the carried ones
     # Motion along the surface that the normal motion leaves open, of the carried points (all, tracked ones last).
     slide: Callable[[Tensor, Tensor], Tensor] | None = None
     # Brings the carried points, where they were predicted, onto the moved surface; takes and returns what Newton does.
     place: Callable[..., tuple[Tensor, Tensor]] = newton_to_surface
     row: Row | None = None  # what the operation adds to the record of the step
+    # The same, of the surface after the step, given what is held and the part of the step that was taken.
+    record: Callable[[Field, MeshedSample, Row, float], Row] | None = None
 
 
 class Operation(Protocol):
@@ -132,9 +184,11 @@ def evolve(
     steps: int,
     constraints: Sequence[Functional] = (),
     resolution: int = 48,
-    tolerance: float = 1e-8,
+    holding: Holding | None = None,
+    changing: bool = False,
     track: Float[Tensor, "m d"] | None = None,
     wanted: Float[Tensor, "i d"] | None = None,
+    asked: Asked | None = None,
     progress: Progress | None = None,
 ) -> Edit:
     """Take the steps of an operation.
@@ -142,29 +196,32 @@ def evolve(
     Args:
         start: Points of the surface to carry along.
         constraints: Functionals to hold, each at its target or, without one, at its value at the start.
-        resolution: Of the quadrature that measures the constraints.
-        tolerance: Relative gap to which each constraint is restored after each step.
+        resolution: Of the quadrature that measures the constraints, unless `holding` says.
+        holding: How they are held; None is by hard rows and Newton's method.
+        changing: Whether the surface may change its topology. It is then measured in every step, and a carried point
+            that loses its sheet goes on from the nearest point of the surface.
         track: Further points on the surface to carry along.
         wanted: Displacement asked for at the starting points, for the error field.
+        asked: The same for any points of the unedited surface; see Edit.
         progress: Called after each step with the step's number, the number of steps and its record.
 
     Returns:
         The edit as far as it went; its status says why it ended.
     """
     began = time.perf_counter()
-    guard = _Guard(field, constraints, resolution, tolerance)
-    trust = _Trust(field.dtype)
+    guard = Guard(field, constraints, holding or Holding(resolution=resolution), always=changing)
+    loop = _Loop(field, operation, guard, changing)
     carried = start.points if track is None else torch.cat([start.points, _on_surface(field, track)])
     own = len(start.points)
     history: list[Row] = []
     status = EditStatus.DONE
     for step in range(steps):
         clock = time.perf_counter()
-        state = State(field, step, carried[:own], guard.sample)
+        state = State(field, step, carried[:own], None if guard.surface is None else guard.sample)
         if operation.finished(state, history):
             status = EditStatus.REACHED
             break
-        taken = _take(state, operation, guard, trust, carried)
+        taken = loop.take(state, carried)
         if isinstance(taken, EditStatus):
             status = taken
             break
@@ -173,6 +230,8 @@ def evolve(
         history.append(row)
         if progress is not None:
             progress(step + 1, steps, row)
+    if history:
+        field, carried = loop.polish(field, carried, history[-1])
     edit = Edit(
         field=field,
         points=start.points,
@@ -184,266 +243,308 @@ def evolve(
         history=history,
         status=status,
         seconds=time.perf_counter() - began,
+        asked=asked,
     )
-    if status is EditStatus.DONE and not _reached(edit):
+    if status in (EditStatus.DONE, EditStatus.REACHED) and not _reached(edit):
         edit = replace(edit, status=EditStatus.NOT_REACHED)
     return edit
 
 
+def first_solve(
+    field: Field, operation: Operation, start: SurfaceSample, resolution: int = 48
+) -> tuple[LeastSquares, Solution] | EditStatus:
+    """Solve the first step of an operation at the damping that its linearity allows, and do not take it."""
+    guard = Guard(field, (), Holding(resolution=resolution), always=False)
+    return _Loop(field, operation, guard, changing=False).solve(State(field, 0, start.points, None))
+
+
 def _reached(edit: Edit) -> bool:
-    """Whether the root mean square of the error field is at most a tenth, where a displacement was asked for."""
+    """Whether the root mean square of the error field is at most REACHED_SHARE, where a displacement was asked for."""
     error = edit.error_field()
     asked = torch.isfinite(edit.wanted).all(dim=1)
     moved = asked & (edit.wanted.norm(dim=1) > 0)
     if not bool(moved.any()):
         return True
-    return bool((error[asked] * edit.weights[asked].sqrt()).norm() <= 0.1 * edit.weights[moved].sum().sqrt())
-
-
-def _take(
-    state: State, operation: Operation, guard: _Guard, trust: _Trust, carried: Tensor
-) -> tuple[Field, Tensor, Row] | EditStatus:
-    """One step: the new field, the carried points on it, and the record; or why it was not taken."""
-    field = state.field
-    problem = operation.step(state)
-    space = problem.space
-    system = _assemble(problem)
-    fixed = guard.rows(field, space.size)
-    clock = time.perf_counter()
-    trial = _trial(state, problem, system, fixed, trust, carried, 2 * field.size / guard.resolution)
-    if isinstance(trial, EditStatus):
-        return trial
-    solved = time.perf_counter() - clock
-    moved, way, arrived_at, arrived = trial.moved, trial.way, trial.arrived_at, trial.arrived
-    if guard.constraints:
-        restored = guard.restore(moved, system, space)
-        if isinstance(restored, EditStatus):
-            return restored
-        x = torch.cat([restored.theta - field.theta, trial.solution.x[space.parameters :]])
-        moved = restored
-        try:
-            way = _way(problem, x, carried)
-            arrived_at, arrived = newton_to_surface(moved, carried + way, reach=trial.reach)
-        except ValueError:
-            return EditStatus.SURFACE_LOST
-    if float((~arrived).double().mean()) > 0.02:
-        return EditStatus.SURFACE_LOST
-    miss, size = _miss(way, arrived_at - carried, arrived)
-    solution = trial.solution
-    row = {
-        **guard.values,
-        "constraint_gap": guard.gap,
-        "residual": solution.residual,
-        "objective": solution.objective,
-        "condition": solution.condition,
-        "rank": solution.rank,
-        "damping": solution.damping,
-        "method": solution.method,
-        "largest_motion": float(way.norm(dim=1).max()),
-        "linearity_error": miss / max(size, 1e-300),
-        "d_theta_norm": float((moved.theta - field.theta).norm()),
-        "points_lost": int((~arrived).sum()),
-        "solve_status": solution.status.value,
-        "solves": trial.solves,
-        "seconds_solve": solved,
-    }
-    return moved, arrived_at, {**(problem.row or {}), **row}
-
-
-def _assemble(problem: StepProblem) -> LeastSquares:
-    """The step's least squares: its rows, or for a network too large for a matrix, their products."""
-    space = problem.space
-    if space.size <= DENSE_LIMIT:
-        system = LeastSquares(space.size, space.field.theta)
-        for energy in problem.energies:
-            for rows in energy.rows(space):
-                system.add(rows)
-        return system
-    # A sketch of the spectrum costs as many products as it has columns, each a forward and a backward pass: here
-    # plain conjugate gradients are through with less. Each step sees what the last one missed, so 1e-4 is enough.
-    system = LeastSquares(space.size, space.field.theta, method="cg", rank=0, tolerance=1e-4)
-    for energy in problem.energies:
-        if not isinstance(energy, NormalTarget):
-            raise ValueError(
-                f"With {space.size} unknowns (more than {DENSE_LIMIT}) only targets along the normal can be "
-                f"solved for, but the step has a {type(energy).__name__} energy. Edit fewer parameters "
-                '(Field(parameters=...)), or smooth with method="explicit".'
-            )
-        system.add_operator(energy.operator(space))
-    return system
+    return bool((error[asked] * edit.weights[asked].sqrt()).norm() <= REACHED_SHARE * edit.weights[moved].sum().sqrt())
 
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """A step that may be taken: the moved field and the carried points on it."""
+    """A step that may be taken: the moved field and the probed points on it."""
 
     solution: Solution
+    x: Tensor  # the unknowns, after what the constraints took out
     moved: Field
-    way: Tensor  # predicted motion of the carried points
+    way: Tensor  # predicted motion of the probed points
     arrived_at: Tensor
     arrived: Tensor
     reach: float
     solves: int
 
 
-def _trial(
-    state: State,
-    problem: StepProblem,
-    system: LeastSquares,
-    fixed: tuple[Tensor, Tensor] | None,
-    trust: _Trust,
-    carried: Tensor,
-    cell: float,
-) -> _Trial | EditStatus:
-    """Solve, and solve again with more damping while the surface does not go where the linear model says.
+class _Loop:
+    """One step of an operation after the other."""
 
-    The assembled matrix serves every try, so that a further one costs a factorisation and a projection.
-    """
-    field = state.field
-    last: _Trial | EditStatus = EditStatus.UNSTABLE
-    damping = trust.begin(problem.first_damping)
-    for solves in range(1, trust.tries + 1):
-        solution = system.solve(problem.damping, fixed, relative_damping=damping)
-        if solution.status is SolveStatus.FAILED:
-            return EditStatus.NOT_FINITE
-        moved = field.with_theta(field.theta + problem.space.split(solution.x)[0])
-        if not moved.require_finite(moved.theta):
-            return EditStatus.NOT_FINITE
-        way = _way(problem, solution.x, carried)
-        # A point may have to go as far again as it was predicted to; a cell more allows for small steps.
-        reach = 2 * float(way.norm(dim=1).max()) + cell
-        good = False
+    def __init__(self, field: Field, operation: Operation, guard: Guard, changing: bool) -> None:
+        self._operation, self._guard, self._changing = operation, guard, changing
+        self._trust = Trust(field.dtype)
+        self._last: tuple[LeastSquares, DeformationSpace] | None = None
+        self._topology: Topology | None = None
+        if changing:
+            self._topology = self._pieces(field)
+        self._found: Topology | None = None
+
+    def solve(self, state: State) -> tuple[LeastSquares, Solution] | EditStatus:
+        """A step's least squares, at the damping that its linearity allows; it is not taken."""
+        problem = self._operation.step(state)
+        system = _assemble(problem)
+        trial = self._trial(state, problem, system, None, state.points)
+        return trial if isinstance(trial, EditStatus) else (system, trial.solution)
+
+    def take(self, state: State, carried: Tensor) -> tuple[Field, Tensor, Row] | EditStatus:
+        """One step: the new field, the carried points on it, and the record; or why it was not taken."""
+        field, guard = state.field, self._guard
+        problem = self._operation.step(state)
+        space = problem.space
+        system = _assemble(problem)
+        fixed = guard.rows(field, space) if guard.constraints else None
+        if fixed is not None and guard.holding.enforce == "penalty":
+            system.add(guard.charge(*fixed))
+            fixed = None
+        clock = time.perf_counter()
+        trial = self._trial(state, problem, system, fixed, carried)
+        if isinstance(trial, EditStatus):
+            return trial
+        solved = time.perf_counter() - clock
+        x, moved = trial.x, trial.moved
+        way, arrived_at, arrived = trial.way, trial.arrived_at, trial.arrived
+        part = 1.0
         try:
-            arrived_at, arrived = problem.place(moved, carried + way, reach=reach)
+            if self._changing:
+                part = self._undivided(field, x, space)
+                x = part * x
+            if guard.hard:
+                x = guard.restore(field, x, system, space, looked=self._changing)
+                if not field.require_finite(x):
+                    return EditStatus.NOT_FINITE
+            elif guard.surface is not None and not self._changing:
+                guard.look(moved)
+            moved = field.with_theta(field.theta + space.split(x)[0])
+            if guard.hard or problem.probe is not None:
+                way = _way(problem, x, carried)
+                arrived_at, arrived = newton_to_surface(moved, carried + way, reach=trial.reach)
+        except NotHeldError:
+            return EditStatus.CONSTRAINT_NOT_HELD
         except ValueError:
-            last = EditStatus.SURFACE_LOST
-        else:
-            last = _Trial(solution, moved, way, arrived_at, arrived, reach, solves)
-            miss, size = _miss(way, arrived_at - carried, arrived)
-            # A larger miss than what the step leaves undone anyway is not worth the smaller residual; and where there
-            # are constraints, beyond a fifth of the motion the linear model says too little about them.
-            undone = solution.residual if fixed is None else min(solution.residual, 0.2 * size)
-            allowed = max(problem.allowed_miss * size, undone)
-            good = miss <= allowed and bool(arrived.double().mean() > 0.995)
-            if good:
-                trust.after(miss / allowed, problem.least_damping)
-        if good or problem.damping is not None:
-            break
-        damping = trust.raise_damping()
-    return last
+            return EditStatus.SURFACE_LOST
+        if self._changing:
+            arrived_at[~arrived] = _nearest(guard.sample.points, arrived_at[~arrived])
+        elif float((~arrived).double().mean()) > 0.02:
+            return EditStatus.SURFACE_LOST
+        self._last = system, space
+        missed, size = miss(trial.way, trial.arrived_at - _probed(problem, carried), trial.arrived)
+        solution = trial.solution
+        row = {
+            **guard.record,
+            "constraint_gap": guard.gap,
+            "residual": solution.residual,
+            "objective": solution.objective,
+            "condition": solution.condition,
+            "rank": solution.rank,
+            "damping": solution.damping,
+            "method": solution.method,
+            "largest_motion": float(way.norm(dim=1).max()),
+            "linearity_error": missed / max(size, 1e-300),
+            "d_theta_norm": float((moved.theta - field.theta).norm()),
+            "points_lost": int((~arrived).sum()),
+            "solve_status": solution.status.value,
+            "solves": trial.solves,
+            "seconds_solve": solved,
+        }
+        after = (
+            {}
+            if problem.record is None or guard.surface is None
+            else problem.record(moved, guard.surface, guard.record, part)
+        )
+        return moved, arrived_at, {**(problem.row or {}), **after, **self._turn(), **row}
+
+    def _undivided(self, field: Field, x: Tensor, space: DeformationSpace) -> float:
+        """The part of a step to take so that the surface does not fall into more pieces, and that surface measured.
+
+        Where a step is longer than a thin part is wide, it leaves crumbs behind that a shorter one does not. If even
+        a quarter of the step divides the surface, the division is no artefact, and the whole step is taken.
+        """
+        assert self._topology is not None
+        for part in (1.0, 0.5, 0.25, 1.0):
+            moved = field.with_theta(field.theta + space.split(part * x)[0])
+            self._guard.look(moved)
+            found = self._pieces(moved)
+            if found.components <= self._topology.components:
+                break
+        self._found = found
+        return part
+
+    def _pieces(self, field: Field) -> Topology:
+        surface = self._guard.surface
+        assert surface is not None
+        mesh = surface.vertices.double().cpu().numpy(), surface.faces.cpu().numpy()
+        return settled_topology(field, mesh, self._guard.holding.resolution, self._topology)
+
+    def _turn(self) -> Row:
+        """The record of the surface's pieces, and of what became of them in this step."""
+        if self._topology is None or self._found is None:
+            return {}
+        before, after = self._topology, self._found
+        self._topology = after
+        row: Row = {"components": after.components, "euler": after.euler}
+        if (before.components, before.euler) != (after.components, after.euler):
+            row["event"] = (
+                f"Pieces {before.components} to {after.components}, Euler number {before.euler} to {after.euler}."
+            )
+        return row
+
+    def polish(self, field: Field, carried: Tensor, row: Row) -> tuple[Field, Tensor]:
+        """The last restoration, on the fine quadrature; what cannot be restored stays as it is."""
+        if not self._guard.hard or self._last is None:
+            return field, carried
+        system, space = self._last
+        try:
+            x = self._guard.restore(field, field.theta.new_zeros(space.size), system, space, fine=True)
+            moved = field.with_theta(field.theta + space.split(x)[0])
+            arrived_at, arrived = newton_to_surface(moved, carried, reach=field.size / 100)
+        except ValueError:
+            return field, carried
+        row |= {**self._guard.record, "constraint_gap": self._guard.gap}
+        return moved, torch.where(arrived[:, None], arrived_at, carried)
+
+    def _trial(
+        self,
+        state: State,
+        problem: StepProblem,
+        system: LeastSquares,
+        fixed: tuple[Tensor, Tensor] | None,
+        carried: Tensor,
+    ) -> _Trial | EditStatus:
+        """Solve, and solve again with more damping while the surface does not go where the linear model says.
+
+        The assembled matrix serves every try, so that a further one costs a factorisation and a projection.
+        """
+        last: _Trial | EditStatus = EditStatus.UNSTABLE
+        trust = self._trust
+        damping = trust.begin(problem.first_damping)
+        for solves in range(1, trust.tries + 1):
+            solution, x = self._solve(system, problem.damping, damping, fixed)
+            if solution.status is SolveStatus.FAILED:
+                return EditStatus.NOT_FINITE
+            last, ratio = self._try(state.field, problem, solution, x, solves, carried)
+            if ratio <= 1:
+                trust.after(ratio, problem.least_damping)
+                break
+            if problem.damping is not None:
+                break
+            damping = trust.raise_damping()
+        return last
+
+    def _try(
+        self,
+        field: Field,
+        problem: StepProblem,
+        solution: Solution,
+        x: Tensor,
+        solves: int,
+        carried: Tensor,
+    ) -> tuple[_Trial | EditStatus, float]:
+        """One step tried on the field, and how much it misses its prediction in units of what is allowed."""
+        moved = field.with_theta(field.theta + problem.space.split(x)[0])
+        if not moved.require_finite(moved.theta):
+            return EditStatus.NOT_FINITE, math.inf
+        points = _probed(problem, carried)
+        way = _way(problem, x, points)
+        # A point may have to go as far again as it was predicted to; a cell more allows for small steps.
+        reach = 2 * float(way.norm(dim=1).max()) + 2 * field.size / self._guard.holding.resolution
+        try:
+            arrived_at, arrived = problem.place(moved, points + way, reach=reach)
+        except ValueError:
+            return EditStatus.SURFACE_LOST, math.inf
+        trial = _Trial(solution, x, moved, way, arrived_at, arrived, reach, solves)
+        missed, size = miss(way, arrived_at - points, arrived)
+        # A miss up to what the step leaves undone anyway is worth its smaller residual. But beyond a fifth of the
+        # motion the linear model says too little: of constraints, of how thin parts vanish, of a target out of reach
+        # (letters on a bracket were once pushed until the slope of the field fell to a seventh).
+        undone = min(solution.residual, 0.2 * size)
+        floor = PRECISION[field.dtype] * field.size  # to which points are placed on the surface at all
+        allowed = max(problem.allowed_miss * size, floor, undone)
+        kept = float(arrived.double().mean())
+        return trial, missed / allowed if kept > (0.98 if self._changing else 0.995) else math.inf
+
+    def _solve(
+        self, system: LeastSquares, damping: float | None, relative: float, fixed: tuple[Tensor, Tensor] | None
+    ) -> tuple[Solution, Tensor]:
+        """The minimiser, and what the constraints leave of it."""
+        if fixed is None:
+            solution = system.solve(damping, relative_damping=relative)
+            return solution, solution.x
+        C, r = fixed
+        if self._guard.holding.enforce == "projection":
+            solution = system.solve(damping, relative_damping=relative)
+            return solution, solution.x - torch.linalg.pinv(C) @ (C @ solution.x)
+        held = self._guard.binding(C, r, None)
+        solution = system.solve(damping, (C[held], r[held]), relative_damping=relative)
+        broken = self._guard.binding(C, r, solution.x)
+        if bool((broken & ~held).any()):
+            solution = system.solve(damping, (C[broken], r[broken]), relative_damping=relative)
+        return solution, solution.x
 
 
-def _way(problem: StepProblem, x: Tensor, carried: Tensor) -> Tensor:
-    """Predicted motion of the carried points."""
-    way = problem.space.displacement(carried, x)
+def _probed(problem: StepProblem, carried: Tensor) -> Tensor:
+    return carried if problem.probe is None else problem.probe
+
+
+def _way(problem: StepProblem, x: Tensor, points: Tensor) -> Tensor:
+    """Predicted motion of points."""
+    way = problem.space.displacement(points, x)
     if problem.slide is not None:
-        way = way + problem.slide(carried, problem.space.field.normal(carried))
+        way = way + problem.slide(points, problem.space.field.normal(points))
     return way
 
 
-def _miss(way: Tensor, achieved: Tensor, arrived: Tensor) -> tuple[float, float]:
-    """Root mean squares of achieved minus predicted motion, and of the predicted one."""
-    if not bool(arrived.any()):
-        return float("inf"), 0.0
-    rms = [float(v[arrived].square().sum(dim=1).mean().sqrt()) for v in (achieved - way, way)]
-    return rms[0], rms[1]
+def _nearest(surface: Tensor, points: Tensor) -> Tensor:
+    """The nearest of some surface points to each point."""
+    return surface[torch.cat([torch.cdist(part, surface).argmin(dim=1) for part in points.split(1000)])]
 
 
-class _Trust:
-    """Damping relative to the trace, adapted as in Levenberg-Marquardt: the linear model decides."""
-
-    tries = 16
-
-    def __init__(self, dtype: torch.dtype) -> None:
-        # Rounding in the normal matrix itself is about the precision times its trace.
-        self._least = 1e-13 if dtype == torch.float64 else 1e-7
-        self.damping: float | None = None
-
-    def begin(self, damping: float) -> float:
-        """The damping to try first: the last step's, or where the operation begins."""
-        self.damping = max(damping if self.damping is None else self.damping, self._least)
-        return self.damping
-
-    def raise_damping(self) -> float:
-        """After a try whose nonlinear part was too large."""
-        assert self.damping is not None
-        self.damping *= 10**0.5
-        return self.damping
-
-    def after(self, ratio: float, least: float) -> None:
-        """After a good try, with the ratio of its nonlinear part to what is allowed."""
-        assert self.damping is not None
-        if ratio < 0.3:
-            self.damping = max(self.damping / 10**0.5, self._least, least)
+def _assemble(problem: StepProblem) -> LeastSquares:
+    """The step's least squares: its rows, or their products where these cost less or the rows would not fit."""
+    space, energies = problem.space, problem.energies
+    if space.size <= DENSE_LIMIT and not _is_cheaper_by_products(problem):
+        system = LeastSquares(space.size, space.field.theta)
+        for energy in energies:
+            for rows in energy.rows(space):
+                system.add(rows)
+        return system
+    # A sketch of the spectrum costs as many products as it has columns, each a forward and a backward pass: here
+    # plain conjugate gradients are through with less. Each step sees what the last one missed, so 1e-4 is enough.
+    system = LeastSquares(space.size, space.field.theta, rank=0, tolerance=1e-4)
+    for energy in energies:
+        if not isinstance(energy, (NormalTarget, FieldTarget)):
+            raise ValueError(
+                f"With {space.size} unknowns (more than {DENSE_LIMIT}) only targets along the normal and of the field "
+                f"can be solved for, but the step has a {type(energy).__name__} energy. Edit fewer parameters "
+                '(Field(parameters=...)), or smooth with method="explicit".'
+            )
+        system.add_operator(energy.operator(space))
+    return system
 
 
-class _Guard:
-    """Measures the constraints and brings them back to their targets."""
+def _is_cheaper_by_products(problem: StepProblem) -> bool:
+    """Whether there is one target along the normal, at fewer points than unknowns, of a plain network.
 
-    iterations = 8
-
-    def __init__(self, field: Field, constraints: Sequence[Functional], resolution: int, tolerance: float) -> None:
-        self.constraints = tuple(constraints)
-        self.resolution = resolution
-        self._tolerance = tolerance
-        self.sample: SurfaceSample | None = None
-        self.gap = 0.0
-        self.values: Row = {}
-        names = [c.name for c in self.constraints]
-        self._names = [n if names.count(n) == 1 else f"{n}_{k + 1}" for k, n in enumerate(names)]
-        if self.constraints:
-            self.sample = surface_quadrature(field, resolution)
-            measured = self._measure(field)
-            self._targets = [
-                value if c.target is None else c.target for c, value in zip(self.constraints, measured, strict=True)
-            ]
-            # Relative to the target, or where that is zero (a centred moment, say) to the size of the integrand.
-            size = float(self.sample.weights.sum())
-            self._scales = [abs(t) if t != 0 else size for t in self._targets]
-
-    def _measure(self, field: Field) -> list[float]:
-        assert self.sample is not None
-        values = [c.value(field, self.sample) for c in self.constraints]
-        self.values = dict(zip(self._names, values, strict=True))
-        return values
-
-    def rows(self, field: Field, size: int) -> tuple[Tensor, Tensor] | None:
-        """C and r of the step: the sensitivities, and how far each value is from its target."""
-        if not self.constraints:
-            return None
-        gaps = [t - v for t, v in zip(self._targets, self._measure(field), strict=True)]
-        return self._sensitivities(field, size), field.theta.new_tensor(gaps)
-
-    def _sensitivities(self, field: Field, size: int) -> Tensor:
-        assert self.sample is not None
-        C = field.theta.new_zeros(len(self.constraints), size)
-        for k, constraint in enumerate(self.constraints):
-            C[k, : len(field.theta)] = constraint.sensitivity(field, self.sample)
-        return C
-
-    def restore(self, field: Field, system: LeastSquares, space: DeformationSpace) -> Field | EditStatus:
-        """Newton's method on the measured values, each correction the one that disturbs the step least."""
-        C: Tensor | None = None
-        last = float("inf")
-        for _ in range(self.iterations):
-            try:
-                self.sample = surface_quadrature(field, self.resolution)
-            except ValueError:
-                return EditStatus.SURFACE_LOST
-            gaps = [t - v for t, v in zip(self._targets, self._measure(field), strict=True)]
-            self.gap = max(abs(g) / s for g, s in zip(gaps, self._scales, strict=True))
-            if self.gap <= self._tolerance:
-                return field
-            if C is None or self.gap > 0.1 * last:
-                # Near the target one set of sensitivities serves all further corrections.
-                C = self._sensitivities(field, space.size)
-            last = self.gap
-            change = system.correction(C, field.theta.new_tensor(gaps))[: space.parameters]
-            if not field.require_finite(field.theta + change):
-                return EditStatus.NOT_FINITE
-            field = field.with_theta(field.theta + change)
-        # Quadrature cells switch as the surface moves; in float32 that and rounding set a floor.
-        return field if self.gap <= 1e3 * self._tolerance else EditStatus.CONSTRAINT_NOT_HELD
+    The products of its rows with each other then come from those of the layers (implicit.plain).
+    """
+    space, energies = problem.space, problem.energies
+    if len(energies) != 1 or not isinstance(energies[0], NormalTarget) or space.directions is not None:
+        return False
+    return len(energies[0].points) < space.size and is_plain(space.field)
 
 
 def _on_surface(field: Field, points: Tensor) -> Tensor:
@@ -457,10 +558,3 @@ def _on_surface(field: Field, points: Tensor) -> Tensor:
             f"{0.02 * field.size:.3g} from it. Move them there first with project_to_surface."
         )
     return placed
-
-
-def total_energy(energies: Iterable[Energy], space: DeformationSpace, x: Tensor) -> float:
-    """The value of some energies at a displacement, without solving."""
-    return float(
-        sum((rows.weights * (rows.matrix @ x - rows.target) ** 2).sum() for e in energies for rows in e.rows(space))
-    )

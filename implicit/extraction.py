@@ -9,27 +9,13 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from numpy.typing import NDArray
-from skimage.measure import find_contours, marching_cubes
 from torch import Tensor
 
-from implicit.field import Field
+from implicit.field import Field, SurfaceError
+from implicit.marching import MEMORY_LIMIT, Grid, march
 
 Vertices = NDArray[np.float64]
 Faces = NDArray[np.int64]
-
-
-# Cells along a block that is evaluated or left out as a whole, and the factor by which the largest gradient seen at
-# the blocks' centres is raised to bound those in between.
-BLOCK_CELLS = 4
-GRADIENT_SAFETY = 1.5
-
-# Bytes for the grid of an extraction unless the caller says otherwise: a resolution of about 640 in a cube.
-MEMORY_LIMIT = 4 * 2**30
-BYTES_A_NODE = 16  # value, mask, and what marching cubes take on top
-
-
-class SurfaceError(ValueError):
-    """The field has no usable surface inside its bounds."""
 
 
 def extract_mesh(field: Field, resolution: int = 128, *, memory_limit: float = MEMORY_LIMIT) -> tuple[Vertices, Faces]:
@@ -58,15 +44,10 @@ def marched_surface(
     """As extract_mesh, but as tensors of the field's dtype and device."""
     if resolution < 4:
         raise ValueError(f"resolution must be at least 4 cells along the longest side, but is {resolution}.")
-    axes, cell = _axes(field, resolution)
-    _require_memory(axes, memory_limit)
-    values = grid_values(field, axes)
-    _require_inside_bounds(values, field)
-    march = _march_cubes if field.dimension == 3 else _march_squares
-    index_points, faces = march(values.cpu().numpy())
-    lower = torch.stack([axis[0] for axis in axes])
-    start = lower + torch.from_numpy(index_points).to(field.theta) * cell
-    points, arrived = newton_to_surface(field, start, reach=2 * cell)
+    grid = Grid.over(field, resolution)
+    grid.require_memory(memory_limit)
+    start, faces = march(field, grid)
+    points, arrived = newton_to_surface(field, start, reach=2 * grid.cell)
     if not bool(arrived.all()):
         # A vertex between two sheets closer than a cell may have nowhere to go; it keeps its place on the grid edge,
         # which is within a cell of the surface, unless so many fail that the field itself is at fault.
@@ -77,7 +58,7 @@ def marched_surface(
                 "there. Refit the field, or extract at a higher resolution."
             )
         points = torch.where(arrived[:, None], points, start)
-    return points, torch.from_numpy(faces).to(field.device)
+    return points, faces
 
 
 def newton_to_surface(
@@ -153,150 +134,3 @@ def project_to_surface(
             f"is points[{i}] = {points[i].tolist()}. Start closer to the surface, or raise reach."
         )
     return moved
-
-
-def grid_values(field: Field, axes: list[Tensor]) -> Tensor:
-    """f in float32 on the product grid of the axes, evaluated only in blocks of cells that can hold the surface.
-
-    A block is left out where |f| at its centre exceeds half its diagonal times a bound on |df/dx|: the largest
-    gradient seen near by on a coarse grid, with a safety factor. Its nodes take the value at the centre, which has
-    the right sign. Large grids are first thinned in blocks of blocks. Single precision is all that marching cubes
-    work in; the vertices find the surface afterwards in the field's own.
-    """
-    field = field.to(torch.float32)
-    axes = [axis.float() for axis in axes]
-    counts = [-(-(len(axis) - 1) // BLOCK_CELLS) for axis in axes]
-    cell = float(axes[0][1] - axes[0][0])
-    steepest = _Steepest(field)
-    values, near = _block_values(field, [float(axis[0]) for axis in axes], cell * BLOCK_CELLS, counts, steepest)
-    wanted = near
-    for axis, nodes in enumerate(axes):
-        values = _to_nodes(values, axis, len(nodes))[0]
-        here, before = _to_nodes(wanted, axis, len(nodes))
-        wanted = here | before
-    values = values.contiguous()
-    index = wanted.nonzero()
-    points = torch.stack([axis[index[:, k]] for k, axis in enumerate(axes)], dim=1)
-    values[wanted] = _finite(field.value(points))
-    return values
-
-
-def _block_values(
-    field: Field, lower: list[float], side: float, counts: list[int], steepest: _Steepest
-) -> tuple[Tensor, Tensor]:
-    """f at the centre of each block, or at that of the larger block round it, and whether the surface may be inside."""
-    half_diagonal = 0.5 * side * field.dimension**0.5
-    if max(counts) < 6 * BLOCK_CELLS:
-        candidates = torch.ones(counts, dtype=torch.bool, device=field.device)
-        values = torch.zeros(counts, dtype=torch.float32, device=field.device)
-    else:
-        coarse = [-(-count // BLOCK_CELLS) for count in counts]
-        values, candidates = _block_values(field, lower, side * BLOCK_CELLS, coarse, steepest)
-        for axis, count in enumerate(counts):
-            values = values.repeat_interleave(BLOCK_CELLS, dim=axis).narrow(axis, 0, count)
-            candidates = candidates.repeat_interleave(BLOCK_CELLS, dim=axis).narrow(axis, 0, count)
-        values = values.contiguous()
-    index = candidates.nonzero()
-    centers = torch.tensor(lower, device=field.device) + side * (index + 0.5)
-    found = _finite(field.value(centers.float()))
-    values[candidates] = found
-    near = torch.zeros_like(candidates)
-    near[candidates] = found.abs() <= steepest.at(centers) * half_diagonal
-    return values, near
-
-
-class _Steepest:
-    """A bound on |df/dx| near a point: the largest at the 27 nearest nodes of a coarse grid, with the safety factor."""
-
-    nodes = 24
-
-    def __init__(self, field: Field) -> None:
-        lines = [
-            torch.linspace(float(a), float(b), self.nodes, dtype=field.dtype, device=field.device)
-            for a, b in field.bounds.T
-        ]
-        points = torch.stack(torch.meshgrid(*lines, indexing="ij"), dim=-1).reshape(-1, field.dimension)
-        lengths = _finite(field.gradient(points)).norm(dim=1).view(1, 1, *[self.nodes] * field.dimension)
-        pool = torch.nn.functional.max_pool3d if field.dimension == 3 else torch.nn.functional.max_pool2d
-        self._bound = GRADIENT_SAFETY * pool(lengths, 3, stride=1, padding=1)[0, 0]
-        self._lower = field.bounds[0]
-        self._step = (field.bounds[1] - field.bounds[0]) / (self.nodes - 1)
-
-    def at(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
-        """The bound near each point."""
-        index = ((points - self._lower) / self._step).round().long().clamp(0, self.nodes - 1)
-        return self._bound[tuple(index.T)]
-
-
-def _finite(values: Tensor) -> Tensor:
-    if not bool(torch.isfinite(values).all()):
-        raise SurfaceError("The field is NaN or infinite inside its bounds. Mend its parameters, or shrink the bounds.")
-    return values
-
-
-def _to_nodes(blocks: Tensor, axis: int, count: int) -> tuple[Tensor, Tensor]:
-    """Along one axis, what each node gets from the block after it and from the block before it."""
-    cells = blocks.repeat_interleave(BLOCK_CELLS, dim=axis).narrow(axis, 0, count - 1)
-    first, last = cells.narrow(axis, 0, 1), cells.narrow(axis, count - 2, 1)
-    return torch.cat([cells, last], dim=axis), torch.cat([first, cells], dim=axis)
-
-
-def _axes(field: Field, resolution: int) -> tuple[list[Tensor], float]:
-    """Grid lines in each direction, cubes of one size, centred on the bounds and covering them."""
-    cell = field.size / resolution
-    axes = []
-    for lower, upper in field.bounds.T.tolist():
-        count = int(np.ceil((upper - lower) / cell - 1e-9))
-        first = (lower + upper) / 2 - count * cell / 2
-        axes.append(first + cell * torch.arange(count + 1, dtype=field.dtype, device=field.device))
-    return axes, cell
-
-
-def _require_memory(axes: list[Tensor], limit: float) -> None:
-    nodes = 1.0
-    for axis in axes:
-        nodes *= len(axis)
-    if BYTES_A_NODE * nodes > limit:
-        raise MemoryError(
-            f"A grid of {' x '.join(str(len(axis)) for axis in axes)} nodes needs about "
-            f"{BYTES_A_NODE * nodes / 2**30:.1f} GiB, more than the limit of {limit / 2**30:.1f} GiB. Lower "
-            "the resolution, or raise memory_limit."
-        )
-
-
-def _require_inside_bounds(values: Tensor, field: Field) -> None:
-    inside = values < 0
-    if not bool(inside.any()) or bool(inside.all()):
-        what = "f > 0" if not bool(inside.any()) else "f < 0"
-        raise SurfaceError(
-            f"The field has no surface in its bounds {field.bounds.tolist()}: {what} on the whole grid. Check level "
-            "and inside, widen the bounds, or raise the resolution."
-        )
-    shell = torch.ones_like(inside)
-    shell[(slice(1, -1),) * inside.ndim] = False
-    if bool((inside & shell).any()):
-        where = (inside & shell).nonzero()[0].tolist()
-        raise SurfaceError(
-            f"The surface leaves the bounds {field.bounds.tolist()}: f < 0 at the border, first at grid node {where}. "
-            "Widen the bounds, or refit the field so that it is positive there."
-        )
-
-
-def _march_cubes(values: NDArray[np.floating]) -> tuple[NDArray[np.float64], Faces]:
-    # Default winding ("descent") faces outward for f < 0 inside; its normals do not, so they are not used.
-    vertices, faces, _, _ = marching_cubes(values.astype(np.float32), 0.0, allow_degenerate=False)
-    return vertices.astype(np.float64), faces.astype(np.int64)
-
-
-def _march_squares(values: NDArray[np.floating]) -> tuple[NDArray[np.float64], Faces]:
-    points: list[NDArray[np.float64]] = []
-    segments: list[Faces] = []
-    start = 0
-    # find_contours walks with low values on the left; the contour closes, so its last point repeats the first.
-    for contour in find_contours(values.astype(np.float64), 0.0, positive_orientation="low"):
-        ring = contour[:-1]
-        index = np.arange(len(ring)) + start
-        points.append(ring)
-        segments.append(np.stack([index, np.roll(index, -1)], axis=1))
-        start += len(ring)
-    return np.concatenate(points), np.concatenate(segments).astype(np.int64)

@@ -54,6 +54,10 @@ class Parameter:
     where: slice
 
 
+class SurfaceError(ValueError):
+    """The field has no usable surface inside its bounds."""
+
+
 class Field:
     """A function f(x; theta) whose zero set is a surface (3D) or a curve (2D), and the parameters to edit.
 

@@ -4,7 +4,14 @@
     surface integral G = int_surface g dA    dG/dtheta = int (dg/dn + kappa g) b dA       [paper, eq. 7]
 
 b is the boundary sensitivity, kappa = div n. Volume is h = 1, area is g = 1. In the plane they are area and
-length. Any of them can be held fixed during an edit.
+length. Any of them can be held during an edit, at a value or within a bound.
+
+A quadrature whose points lie on curved cells is off by the cells' distance delta = -f / |df/dx| from the surface. One
+evaluation of the field at the points takes that out: with c the cosine between the normals of cell and surface,
+
+    H = H_cells + int_cells h c delta dA          G = int_cells g(x + delta n) c (1 + kappa delta) dA
+
+which leaves 3e-8 of the volume of the bundled cow at 64 cells, where the cells alone leave 1.3e-5.
 """
 
 from __future__ import annotations
@@ -12,6 +19,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field as default
+from typing import Literal
 
 import numpy as np
 import torch
@@ -23,12 +31,19 @@ from implicit.sensitivity import adjoint
 from implicit.surface import SurfaceSample, surface_quadrature
 
 Density = Callable[[Tensor], Tensor]
+Bound = Literal["equal", "at least", "at most"]
 
 
 class Functional(ABC):
-    """A number that belongs to a surface. `target` is the value to hold; None holds the value at the start."""
+    """A number that belongs to a surface, and how it is to be held.
+
+    Attributes:
+        target: The value to hold; None is the value at the start.
+        bound: Whether the value is to equal the target, or to be at least or at most that.
+    """
 
     target: float | None
+    bound: Bound
 
     @property
     def name(self) -> str:
@@ -53,9 +68,11 @@ class Volume(Functional):
     """Volume inside the surface (area inside the curve, in the plane), by the divergence theorem."""
 
     target: float | None = None
+    bound: Bound = "equal"
 
     def value(self, field: Field, sample: SurfaceSample) -> float:
-        return float(volume_terms(sample).sum())
+        way = _Way.of(field, sample)
+        return float((volume_terms(sample) + way.weights * way.length).double().sum())
 
     def shape_gradient(self, field: Field, sample: SurfaceSample) -> Tensor:
         return torch.ones_like(sample.weights)
@@ -66,9 +83,11 @@ class Area(Functional):
     """Area of the surface (length of the curve, in the plane)."""
 
     target: float | None = None
+    bound: Bound = "equal"
 
     def value(self, field: Field, sample: SurfaceSample) -> float:
-        return float(sample.weights.sum())
+        way = _Way.of(field, sample)
+        return float(way.surface_weights(field, sample).double().sum())
 
     def shape_gradient(self, field: Field, sample: SurfaceSample) -> Tensor:
         return field.mean_curvature(sample.points)
@@ -80,13 +99,14 @@ class VolumeIntegral(Functional):
 
     Args:
         h: From points (N, D) to values (N,), smooth on the whole of the field's bounds, not on the inside alone.
-        target: The value to hold; None holds the value at the start.
+        target, bound: As for every functional.
         nodes: Gauss points along each ray in the antiderivative; exact for polynomials h of degree up to
             2 nodes - D.
     """
 
     h: Density
     target: float | None = None
+    bound: Bound = "equal"
     nodes: int = default(default=8)
 
     def value(self, field: Field, sample: SurfaceSample) -> float:
@@ -97,7 +117,9 @@ class VolumeIntegral(Functional):
         total = torch.zeros_like(sample.weights)
         for t, w in zip((gauss + 1) / 2, weight / 2, strict=True):
             total += w * t ** (field.dimension - 1) * _density(self.h, center + t * arm, "h")
-        return sample.integrate(total * (arm * sample.normals).sum(dim=1))
+        way = _Way.of(field, sample)
+        beyond = way.weights * way.length * _density(self.h, sample.points, "h")
+        return float((sample.weights * total * (arm * sample.normals).sum(dim=1) + beyond).double().sum())
 
     def shape_gradient(self, field: Field, sample: SurfaceSample) -> Tensor:
         return _density(self.h, sample.points, "h")
@@ -109,14 +131,17 @@ class SurfaceIntegral(Functional):
 
     Args:
         g: From points (N, D) to values (N,), differentiable by torch.
-        target: The value to hold; None holds the value at the start.
+        target, bound: As for every functional.
     """
 
     g: Density
     target: float | None = None
+    bound: Bound = "equal"
 
     def value(self, field: Field, sample: SurfaceSample) -> float:
-        return sample.integrate(_density(self.g, sample.points, "g"))
+        way = _Way.of(field, sample)
+        density = _density(self.g, sample.points + way.length[:, None] * way.normals, "g")
+        return float((way.surface_weights(field, sample) * density).double().sum())
 
     def shape_gradient(self, field: Field, sample: SurfaceSample) -> Tensor:
         with torch.enable_grad():
@@ -147,6 +172,29 @@ def integrate(field: Field, functional: Functional, resolution: int = 64) -> Int
         functional.value(field, surface_quadrature(field, cells)) for cells in (resolution, max(4, resolution // 2))
     )
     return Integral(fine, abs(fine - coarse) / 7)
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """From the points of a sample to the surface, to first order."""
+
+    length: Float[Tensor, " n"]  # along the normal of the field, outward
+    normals: Float[Tensor, "n d"]  # of the field
+    weights: Float[Tensor, " n"]  # of the sample, times the cosine between the two normals
+
+    @classmethod
+    def of(cls, field: Field, sample: SurfaceSample) -> _Way:
+        value, gradient = field.value_and_gradient(sample.points)
+        slope = field.gradient_length(gradient)
+        normals = gradient / slope[:, None]
+        # Where two sheets come close the field's slope vanishes between them, and the first order means nothing.
+        limit = field.size / 100
+        length = (-value / slope).clamp(-limit, limit)
+        return cls(length, normals, sample.weights * (normals * sample.normals).sum(dim=1))
+
+    def surface_weights(self, field: Field, sample: SurfaceSample) -> Tensor:
+        """The sample's weights carried to the surface."""
+        return self.weights * (1 + field.mean_curvature(sample.points) * self.length)
 
 
 def volume_terms(sample: SurfaceSample) -> Float[Tensor, " n"]:

@@ -8,31 +8,34 @@ the next makes up for.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from dataclasses import replace
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from implicit.deformation import DeformationSpace
-from implicit.energies import NormalTarget
-from implicit.evolve import Edit, Progress, Row, State, StepProblem, evolve
+from implicit.displacement import MOST_PARTS, OFF_SURFACE_STRENGTH, Displacement, Splitting
+from implicit.evolve import Edit, EditStatus, Progress, evolve
+from implicit.extraction import SurfaceError
 from implicit.field import Field
 from implicit.functionals import Functional
+from implicit.goal import Goal, Rest, checked_handles
 from implicit.regions import Handle
 from implicit.sampling import sample_surface
+from implicit.soundness import Soundness, changes, field_soundness
 from implicit.surface import SurfaceSample
 
 
 def geometric_edit(
     field: Field,
     handles: Sequence[Handle] | Handle,
-    rest: Literal["fixed", "free"] | float = "fixed",
+    rest: Rest = "fixed",
     *,
     parts: int | None = None,
     points: int | SurfaceSample = 4000,
     damping: float | None = None,
     constraints: Sequence[Functional] = (),
+    least_alignment: float = 0.0,
+    off_surface_strength: float = OFF_SURFACE_STRENGTH,
     resolution: int = 48,
     track: Float[Tensor, "m d"] | None = None,
     progress: Progress | None = None,
@@ -43,120 +46,70 @@ def geometric_edit(
     Args:
         field: The field to edit; the caller's own stays as it is until `edit.field.write_back()`.
         handles: Regions and their displacements. A region's weight between 0 and 1 scales the displacement; where
-            several overlap, displacements add.
+            several overlap, displacements add. Vectors are projected on the current normal in each part.
         rest: What becomes of points in no region: "fixed" at zero, "free", or fixed with this weight.
-        parts: Sub-steps; None takes as many as keep each part below 1/160 of the field's size, between 4 and 32
-            (a bump of 5 % of the size then takes 8; twice as many parts bring a third of the error).
-        points: How many points carry the target, or the sample itself.
+        parts: Equal sub-steps; None chooses their number as the edit goes, from the linearity error of each.
+        points: How many points carry the target, or the sample itself. They travel with the surface, and are drawn
+            anew, more of them, where they have thinned out.
         damping: Penalty on |d_theta|^2; None adapts it to the linearity error.
-        constraints: Functionals to hold during the edit, such as Volume().
-        resolution: Of the quadrature that measures the constraints.
+        constraints: Functionals to hold during the edit, such as Volume() or Area().
+        least_alignment: Points whose displacement makes a smaller cosine than this with the normal are left free.
+        off_surface_strength: How firmly the field away from the surface is tied to the surface's motion, which keeps
+            stray pieces from arising there; 0 leaves it to chance, as the paper does.
+        resolution: Of the quadrature that measures the constraints, and of the pieces of the surface that are counted.
         track: Further surface points (M, D) to carry along.
         progress: Called after each part.
         seed: Of the random points.
 
+    Returns:
+        The edit. `before` and `after` say how sound the field is, `notes` what has become worse.
+
     Raises:
         ValueError: No point of the surface lies in any region, or a displacement is not finite.
     """
-    handles = [handles] if isinstance(handles, Handle) else list(handles)
+    listed = checked_handles(handles)
+    if parts is not None and parts < 1:
+        raise ValueError(f"parts must be at least 1, but is {parts}.")
     sample = points if isinstance(points, SurfaceSample) else sample_surface(field, points, seed=seed)
-    goal = _Goal(handles, sample.points, sample.normals, rest)
+
+    def goal_of(points: Tensor, normals: Tensor) -> Goal:
+        return Goal(listed, points, normals, rest, least_alignment=least_alignment)
+
+    goal = goal_of(sample.points, sample.normals)
+    goal.require_points_in_each_region()
+    before = field_soundness(field, resolution)
     extra = None if track is None else field.require_points(track)
-    count = parts if parts is not None else goal.default_parts(field)
-    if count < 1:
-        raise ValueError(f"parts must be at least 1, but is {count}.")
-    operation = _Geometric(goal, sample, count, damping, handles, rest, extra)
-    return evolve(
+    splitting = Splitting(parts, goal.largest() / field.size)
+    operation = Displacement(field, goal_of, sample, splitting, damping, off_surface_strength, extra, seed)
+    edit = evolve(
         field,
         operation,
         sample,
-        steps=count,
+        steps=MOST_PARTS if parts is None else parts,
         constraints=constraints,
         resolution=resolution,
         track=track,
         wanted=goal.wanted(),
-        progress=progress,
+        asked=lambda points, normals: _asked(goal_of(points, normals)),
+        progress=None if progress is None else lambda step, _, row: progress(step, splitting.count(step), row),
     )
+    if edit.status is EditStatus.REACHED:  # the whole way was gone in fewer parts than there might have been
+        edit = replace(edit, status=EditStatus.DONE)
+    return with_evidence(edit, before, resolution)
 
 
-class _Goal:
-    """Where points of the unedited surface are to be after a fraction of the edit."""
-
-    def __init__(
-        self, handles: Sequence[Handle], points: Tensor, normals: Tensor, rest: Literal["fixed", "free"] | float
-    ) -> None:
-        if not handles:
-            raise ValueError("handles is empty. Give at least one Handle(region, displacement).")
-        self._handles, self._start, self._normals = handles, points, normals
-        self._weights = [handle.weights(points) for handle in handles]
-        for k, weights in enumerate(self._weights):
-            if not bool((weights > 0).any()):
-                raise ValueError(
-                    f"No point of the surface lies in the region of handles[{k}]. The surface spans "
-                    f"{points.amin(dim=0).tolist()} to {points.amax(dim=0).tolist()}; move or widen the region."
-                )
-        self.prescribed = torch.stack(self._weights).amax(dim=0) > 0
-        weight = {"fixed": 1.0, "free": 0.0}.get(rest, rest) if isinstance(rest, str) else rest
-        if isinstance(weight, str) or not weight >= 0:
-            raise ValueError(f'rest must be "fixed", "free" or a weight of at least 0, but is {rest!r}.')
-        self.importance = torch.where(self.prescribed, 1.0, float(weight)).to(points)
-
-    def at(self, fraction: float) -> Tensor:
-        """Positions after the fraction."""
-        way = torch.zeros_like(self._start)
-        for handle, weights in zip(self._handles, self._weights, strict=True):
-            way = way + weights[:, None] * (handle.position(fraction, self._start, self._normals) - self._start)
-        return self._start + way
-
-    def wanted(self) -> Tensor:
-        """The whole displacement; NaN where nothing is asked."""
-        whole = self.at(1.0) - self._start
-        return torch.where((self.importance > 0)[:, None], whole, torch.full_like(whole, float("nan")))
-
-    def default_parts(self, field: Field) -> int:
-        largest = float((self.at(1.0) - self._start).norm(dim=1).max())
-        return min(32, max(4, int(-(-largest // (field.size / 160)))))
+def with_evidence(edit: Edit, before: Soundness, resolution: int) -> Edit:
+    """The edit with how sound its field was and is."""
+    try:
+        after = field_soundness(edit.field, resolution)
+    except SurfaceError as error:
+        notes = (f"The edited field cannot be meshed as it is: {error}",)
+        return replace(edit, before=before, notes=notes, status=EditStatus.STRAY_PIECES)
+    edit = replace(edit, before=before, after=after, notes=changes(before, after))
+    if edit.status is EditStatus.DONE and after.pieces > before.pieces:
+        edit = replace(edit, status=EditStatus.STRAY_PIECES)
+    return edit
 
 
-class _Geometric:
-    def __init__(
-        self,
-        goal: _Goal,
-        sample: SurfaceSample,
-        parts: int,
-        damping: float | None,
-        handles: Sequence[Handle],
-        rest: Literal["fixed", "free"] | float,
-        track: Tensor | None,
-    ) -> None:
-        self._goal, self._sample, self._parts, self._damping = goal, sample, parts, damping
-        self._handles, self._rest, self._track = handles, rest, track
-        self._all: _Goal | None = None
-
-    def step(self, state: State) -> StepProblem:
-        field, goal = state.field, self._goal
-        now, then = state.step / self._parts, (state.step + 1) / self._parts
-        used = goal.importance > 0
-        points = state.points[used]
-        target = ((goal.at(then)[used] - points) * field.normal(points)).sum(dim=1)
-        energy = NormalTarget(points, target, (self._sample.weights * goal.importance)[used])
-        whole = self._whole(field)
-        ahead = whole.at(then) - whole.at(now)
-
-        def slide(carried: Tensor, normals: Tensor) -> Tensor:
-            # A prescribed point follows its whole vector; the field sees only the part along the normal.
-            return ahead - normals * (normals * ahead).sum(dim=1, keepdim=True)
-
-        return StepProblem(DeformationSpace(field), [energy], self._damping, slide=slide)
-
-    def _whole(self, field: Field) -> _Goal:
-        """The goal of the carried points: the sample's, then the tracked ones (made at the first step)."""
-        if self._all is None:
-            points, normals = self._sample.points, self._sample.normals
-            if self._track is not None:
-                points, normals = torch.cat([points, self._track]), torch.cat([normals, field.normal(self._track)])
-            self._all = _Goal(self._handles, points, normals, self._rest)
-        return self._all
-
-    def finished(self, state: State, history: Sequence[Row]) -> bool:
-        return False
+def _asked(goal: Goal) -> tuple[Tensor, Tensor]:
+    return goal.wanted(), goal.directions()

@@ -24,6 +24,9 @@ from torch import Tensor
 
 from implicit.field import Field
 
+# Rows of a Gram matrix made at once.
+GRAM_ROWS = 256
+
 
 @runtime_checkable
 class PlainNetwork(Protocol):
@@ -51,6 +54,31 @@ def plain_gradient(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, 
         if k > 0:
             upper = slopes[k - 1] * (upper @ weights[k])
     return rows
+
+
+def plain_gram(field: Field, points: Float[Tensor, "n d"], scale: Float[Tensor, " n"]) -> Float[Tensor, "n n"]:
+    """Lower triangle of the products of the scaled df/dtheta at the points with each other, in float64.
+
+    Over a layer, (d a^T) . (e b^T) + d . e = (d . e) (a . b + 1): the products of P numbers become those of a layer's
+    width, so that P itself costs nothing. Blocks of rows keep the two factors in the cache.
+    """
+    weights, inputs, slopes, _ = _forward(field, points)
+    total = torch.zeros(len(points), len(points), dtype=torch.float64, device=points.device)
+    factors = []
+    upper = (field.sign * scale)[:, None]
+    for k in reversed(range(len(weights))):
+        factors.append((upper.double(), torch.nn.functional.pad(inputs[k], (0, 1), value=1.0).double()))
+        if k > 0:
+            upper = slopes[k - 1] * (upper @ weights[k])
+    room = torch.empty(2, GRAM_ROWS * len(points), dtype=torch.float64, device=points.device)
+    for start in range(0, len(points), GRAM_ROWS):
+        end = min(len(points), start + GRAM_ROWS)
+        x, y = (part[: (end - start) * end].view(end - start, end) for part in room)
+        for d, a in factors:
+            torch.mm(d[start:end], d[:end].T, out=x)
+            torch.mm(a[start:end], a[:end].T, out=y)
+            total[start:end, :end].addcmul_(x, y)
+    return total
 
 
 def plain_gradient_and_slope(

@@ -170,6 +170,13 @@ class Handle:
             raise ValueError("A region's weights must lie in [0, 1]; clamp them.")
         return weights
 
+    def turned(self, vectors: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
+        """Vectors (N, D), such as normals, after the whole motion: only RigidMotion turns them."""
+        motion = self.displacement
+        if not isinstance(motion, RigidMotion):
+            return vectors
+        return motion.at(1.0, vectors) - motion.at(1.0, torch.zeros_like(vectors))
+
     def position(
         self, fraction: float, points: Float[Tensor, "n d"], normals: Float[Tensor, "n d"]
     ) -> Float[Tensor, "n d"]:

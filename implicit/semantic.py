@@ -21,10 +21,10 @@ from torch import Tensor
 from implicit.deformation import DeformationSpace
 from implicit.energies import Energy, NormalTarget
 from implicit.evolve import Edit, Progress, Row, State, StepProblem, evolve
-from implicit.extraction import SurfaceError, newton_to_surface
-from implicit.field import Field
+from implicit.extraction import newton_to_surface
+from implicit.field import Field, SurfaceError
 from implicit.regions import Handle
-from implicit.sampling import farthest_points, sample_surface
+from implicit.sampling import farthest_order, sample_surface
 from implicit.sensitivity import BLOCK, value_and_gradients
 from implicit.solve import Rows
 from implicit.surface import SurfaceSample
@@ -176,7 +176,7 @@ def prescribe(
             )
         share = points // len(handles) + (k < points % len(handles))
         x = sample.points[inside]
-        x = farthest_points(x, min(share, len(x)))
+        x = x[farthest_order(x, min(share, len(x)))]
         way = handle.position(1.0, x, field.normal(x)) - x
         chosen.append(x)
         ways.append(handle.weights(x)[:, None] * way)
@@ -282,9 +282,12 @@ class _Semantic:
         return float((left * normals).sum(dim=1)[self.used].square().mean().sqrt()) / self._largest
 
     def _space_at(self, state: State) -> _PointSpace:
-        if self._space is None or self._space.field is not state.field:
-            self._space = _PointSpace(state.field, state.points, reach=0.01 * state.field.size)
-        return self._space
+        known = self._space
+        if known is None or not (
+            torch.equal(known.field.theta, state.field.theta) and torch.equal(known.points, state.points)
+        ):
+            known = self._space = _PointSpace(state.field, state.points, reach=0.01 * state.field.size)
+        return known
 
     def _place(self, field: Field, points: Tensor, *, reach: float) -> tuple[Tensor, Tensor]:
         """Points on the moved surface; the pass that this takes linearises the next step there, too."""

@@ -18,13 +18,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from scipy.linalg import blas
 from torch import Tensor
+
+from implicit.factors import Cg, Dual, Factor, Primal, Qr, random_signs
 
 Method = Literal["auto", "primal", "dual", "qr", "cg"]
 METHODS = ("auto", "primal", "dual", "qr", "cg")
@@ -34,11 +36,12 @@ DENSE_LIMIT = 8000
 
 
 class Rows(NamedTuple):
-    """A block of weighted equations matrix @ x = target."""
+    """A block of weighted equations matrix @ x[first:] = target, of the unknowns from `first` up to the last."""
 
     matrix: Float[Tensor, "k n"]
     target: Float[Tensor, " k"]
     weights: Float[Tensor, " k"]
+    first: int = 0
 
 
 class Operator(NamedTuple):
@@ -48,6 +51,7 @@ class Operator(NamedTuple):
     adjoint: Callable[[Tensor], Tensor]  # (k,) to (n,)
     target: Float[Tensor, " k"]
     weights: Float[Tensor, " k"]
+    gram: Callable[[], Tensor] | None = None  # the products of the equations with each other (k, k), if they are cheap
 
 
 class SolveStatus(Enum):
@@ -88,7 +92,8 @@ class LeastSquares:
         size: Number of unknowns.
         like: A tensor whose dtype and device the rows have.
         method: See the table above. "auto" takes the dual while the rows are fewer than the unknowns, the primal up to
-            DENSE_LIMIT unknowns, and conjugate gradients beyond or where an equation is known by its products alone.
+            DENSE_LIMIT unknowns, and conjugate gradients beyond or where equations are known by their products alone;
+            of these it takes the dual where it can (see add_operator) and up to DENSE_LIMIT of them.
         rank: Of the preconditioner of "cg"; 0 for none.
         tolerance: Relative residual at which "cg" stops; None is 1e-12 in float64, 1e-5 in float32.
         seed: Of the preconditioner and of the estimate of the rank.
@@ -119,16 +124,20 @@ class LeastSquares:
         self._right = torch.zeros(size, dtype=torch.float64, device=like.device)
         self._square = 0.0
         self._weight = 0.0
-        self._trace: float | None = None  # of what was added so far
-        self._factor: _Factor | None = None
+        # Of what was added so far, kept from one solve to the next: a step tries several dampings.
+        self._trace: float | None = None
+        self._gram: Tensor | None = None
+        self._factor: Factor | None = None
 
     def add(self, rows: Rows) -> None:
         """Add a block of weighted equations."""
-        matrix, target, weights = rows
-        self._count(matrix.T @ (weights * target), target, weights)
+        if rows.first > 0 and self._normal is None:
+            rows = rows._replace(matrix=torch.nn.functional.pad(rows.matrix, (rows.first, 0)), first=0)
+        self._right[rows.first :] += (rows.matrix.T @ (rows.weights * rows.target)).double()
+        self._count(rows)
         if self._normal is None:
             self._kept.append(rows)
-            self._kept_rows += len(target)
+            self._kept_rows += len(rows.target)
             few = self._kept_rows < self.size or self.size > DENSE_LIMIT
             if self._method in ("dual", "qr", "cg") or (self._method == "auto" and few):
                 return
@@ -141,35 +150,44 @@ class LeastSquares:
             self._accumulate(rows)
 
     def add_operator(self, operator: Operator) -> None:
-        """Add equations known by their products; only conjugate gradients can solve them."""
-        if self._method not in ("auto", "cg"):
-            raise ValueError(f'Equations known by their products need method "cg" or "auto", not {self._method!r}.')
+        """Add equations known by their products, for conjugate gradients.
+
+        The dual takes them if they are the only equations and know their Gram matrix, and the damping is one number.
+        """
+        if self._method not in ("auto", "cg", "dual"):
+            raise ValueError(
+                f'Equations known by their products need method "cg", "dual" or "auto", not {self._method!r}.'
+            )
         if self._normal is not None:
             raise ValueError("Add equations known by their products before those with a matrix.")
-        self._method = "cg"
         self._operators.append(operator)
-        self._count(operator.adjoint(operator.weights * operator.target), operator.target, operator.weights)
+        self._right += operator.adjoint(operator.weights * operator.target).double()
+        self._count(operator)
 
-    def _count(self, right: Tensor, target: Tensor, weights: Tensor) -> None:
-        self._trace = None
-        self._right += right.double()
-        self._square += float((weights * target * target).sum())
-        self._weight += float(weights.sum())
+    def _count(self, equations: Rows | Operator) -> None:
+        self._trace = self._gram = None
+        self._square += float((equations.weights * equations.target**2).sum())
+        self._weight += float(equations.weights.sum())
 
     def _accumulate(self, rows: Rows) -> None:
         assert self._normal is not None
-        add_gram(self._normal, rows.matrix * rows.weights.sqrt()[:, None])
+        weighted = rows.matrix * rows.weights.sqrt()[:, None]
+        if rows.first == 0:
+            add_gram(self._normal, weighted)
+        else:
+            self._normal[rows.first :, rows.first :] += _gram(weighted.T)
 
     def trace(self) -> float:
         """Trace of the normal matrix, the scale that a relative damping refers to."""
-        # Kept from one solve to the next: a step tries several dampings, and products cost passes of the network.
         if self._trace is None:
-            if self._operators:
-                # Hutchinson's estimate: the mean of z^T G z over random signs z.
-                z = _signs(self.size, 4, self._seed).to(self._like)
-                self._trace = float(sum(v @ self._apply(v) for v in z.T) / z.shape[1])
-            else:
+            if not self._operators:
                 self._trace = float(self.diagonal().sum())
+            elif self._method != "cg" and self._has_gram():
+                self._trace = float(self._weighted_gram().diagonal().sum())
+            else:
+                # Hutchinson's estimate: the mean of z^T G z over random signs z.
+                z = random_signs(self.size, 4, self._seed).to(self._like)
+                self._trace = float(sum(v @ self._apply(v) for v in z.T) / z.shape[1])
         return self._trace
 
     def diagonal(self) -> Float[Tensor, " n"]:
@@ -223,7 +241,7 @@ class LeastSquares:
         else:
             return self._failed(ridge)
         self._factor = factor
-        x = factor.inverse(self._right[:, None])[:, 0]
+        x = factor.minimiser(self._right, self._rooted_targets())
         gap = 0.0
         if constraints is not None:
             C, r = (part.double() for part in constraints)
@@ -235,7 +253,7 @@ class LeastSquares:
             status = SolveStatus.REDUNDANT_CONSTRAINTS if redundant else status
         if not bool(torch.isfinite(x).all()):
             return self._failed(ridge)
-        if isinstance(factor, _Cg) and not factor.converged:
+        if isinstance(factor, Cg) and not factor.converged:
             status = SolveStatus.SLOW
         objective = self._objective(x)
         return Solution(
@@ -244,7 +262,7 @@ class LeastSquares:
             objective=objective,
             constraint_residual=gap,
             condition=factor.condition,
-            rank=factor.rank(ridge, self._seed),
+            rank=factor.rank(),
             damping=float(ridge.max()),
             method=factor.name,
             status=status,
@@ -256,19 +274,82 @@ class LeastSquares:
             raise RuntimeError("correction needs a solved problem: call solve first.")
         return _to_meet(self._factor, C.double(), r.double())[0].to(self._like.dtype)
 
-    def _factorise(self, ridge: Tensor) -> _Factor | None:
+    def inverse(self, right: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+        """(A^T W A + damping)^-1 right, of the last solved problem."""
+        if self._factor is None:
+            raise RuntimeError("inverse needs a solved problem: call solve first.")
+        return self._factor.inverse(right.double()[:, None])[:, 0]
+
+    @property
+    def right(self) -> Float[Tensor, " n"]:
+        """A^T W y, in float64."""
+        return self._right
+
+    def _factorise(self, ridge: Tensor) -> Factor | None:
         if self._normal is not None:
-            return _Primal.of(self._normal, ridge)
+            return Primal.of(self._normal, ridge, self._seed)
         method = self._method
-        if method == "auto":
+        even = bool((ridge == ridge[0]).all())
+        if method == "auto" and self._operators:
+            method = "dual" if even and self._has_gram() else "cg"
+        elif method == "auto":
             method = "dual" if self._kept_rows <= DENSE_LIMIT else "cg"
-        if method == "cg":
-            if not bool((ridge > 0).all()):
-                return None  # the scaling by the damping needs it positive; the caller raises it
-            return _Cg(self._apply, ridge, self._like, self._rank, self._tolerance, self._seed)
         if method == "qr":
-            return _Qr.of(self._kept, ridge)
-        return _Dual.of(self._kept, ridge, self._right)
+            return Qr.of(self._rooted_rows(), ridge, self._seed)
+        if not bool((ridge > 0).all()):
+            return None  # the dual and the scaling of "cg" divide by the damping; the caller raises it
+        if method == "cg":
+            return Cg(self._apply, ridge, self._like, self._rank, self._tolerance, self._seed)
+        if self._operators:
+            if not (even and self._has_gram()):
+                raise ValueError(
+                    'Method "dual" takes equations known by their products only if they are the only ones and know '
+                    'their Gram matrix, and the damping is one number; take method "cg".'
+                )
+            root = self._operators[0].weights.double().sqrt()
+            return Dual.of(
+                self._weighted_gram() / ridge[0],
+                lambda x: root * self._operators[0].forward(x.to(self._like)).double(),
+                lambda y: self._operators[0].adjoint((root * y).to(self._like)).double(),
+                ridge,
+                self._seed,
+            )
+        rows = self._rooted_rows()
+        if even:
+            gram = self._weighted_gram() / ridge[0]
+        else:
+            gram = _gram(rows / ridge.sqrt())
+        return Dual.of(gram, lambda x: rows @ x, lambda y: rows.T @ y, ridge, self._seed)
+
+    def _has_gram(self) -> bool:
+        """Whether all there is are equations known by products, those with each other included, and not too many."""
+        if len(self._operators) != 1 or self._kept:
+            return False
+        operator = self._operators[0]
+        return operator.gram is not None and len(operator.target) <= min(self.size, DENSE_LIMIT)
+
+    def _weighted_gram(self) -> Tensor:
+        """Lower triangle of W^1/2 A A^T W^1/2."""
+        if self._gram is None:
+            if self._operators:
+                operator = self._operators[0]
+                assert operator.gram is not None
+                root = operator.weights.double().sqrt()
+                self._gram = operator.gram().double().mul_(root).mul_(root[:, None])
+            else:
+                self._gram = _gram(self._rooted_rows())
+        return self._gram
+
+    def _rooted_rows(self) -> Tensor:
+        """W^1/2 A."""
+        blocks = [rows.matrix.double() * rows.weights.double().sqrt()[:, None] for rows in self._kept]
+        return torch.cat(blocks) if blocks else self._right.new_zeros(0, self.size)
+
+    def _rooted_targets(self) -> Tensor:
+        """W^1/2 y of the equations that are kept."""
+        kept: list[Rows | Operator] = [*self._kept, *self._operators]
+        parts = [equations.weights.double().sqrt() * equations.target.double() for equations in kept]
+        return torch.cat(parts) if parts else self._right[:0]
 
     def _objective(self, x: Tensor) -> float:
         if self._normal is None:
@@ -320,191 +401,14 @@ def add_gram(total: Float[Tensor, "n n"], rows: Float[Tensor, "k n"]) -> None:
         out[...] = result
 
 
-def _signs(n: int, count: int, seed: int) -> Tensor:
-    """Random signs (n, count)."""
-    generator = torch.Generator().manual_seed(seed)
-    return torch.randint(0, 2, (n, count), generator=generator).double() * 2 - 1
+def _gram(rows: Float[Tensor, "k n"]) -> Float[Tensor, "k k"]:
+    """Lower triangle of rows rows^T."""
+    total = rows.new_zeros(len(rows), len(rows))
+    add_gram(total, rows.T)
+    return total
 
 
-class _Factor(Protocol):
-    """The inverse of the damped normal matrix H = A^T W A + D."""
-
-    name: str
-    condition: float
-
-    def inverse(self, right: Tensor) -> Tensor:
-        """H^-1 times the columns (n, m), in float64."""
-
-    def rank(self, ridge: Tensor, seed: int) -> float:
-        """trace of (H - D) H^-1."""
-
-
-class _Direct:
-    """A factor whose inverse is cheap enough to estimate the rank with it."""
-
-    def inverse(self, right: Tensor) -> Tensor:
-        raise TypeError("Each factor has its own inverse.")
-
-    def rank(self, ridge: Tensor, seed: int) -> float:
-        n = len(ridge)
-        if n <= 256:
-            lost = float((ridge * self.inverse(torch.eye(n).to(ridge)).diagonal()).sum())
-        else:  # Hutchinson's estimate; its error is a few times the root of the rank over that of the probes
-            z = _signs(n, 8, seed).to(ridge)
-            lost = float((z * (ridge[:, None] * self.inverse(z))).sum() / z.shape[1])
-        return min(float(n), max(0.0, n - lost))
-
-
-class _Primal(_Direct):
-    """Cholesky factor of the damped normal matrix, in float64 whatever the rows' precision."""
-
-    name = "primal"
-
-    def __init__(self, factor: Tensor) -> None:
-        self._factor = factor
-        diagonal = factor.diagonal()
-        self.condition = float((diagonal.max() / diagonal.min()) ** 2)
-
-    @classmethod
-    def of(cls, normal: Tensor, ridge: Tensor) -> _Primal | None:
-        damped = normal.to(torch.float64, copy=True)
-        damped.diagonal().add_(ridge)
-        factor, info = torch.linalg.cholesky_ex(damped)
-        return cls(factor) if int(info) == 0 else None
-
-    def inverse(self, right: Tensor) -> Tensor:
-        return torch.cholesky_solve(right, self._factor)
-
-
-class _Qr(_Direct):
-    """Triangular factor of the rows with the roots of the damping below: the condition is not squared."""
-
-    name = "qr"
-
-    def __init__(self, factor: Tensor) -> None:
-        self._factor = factor
-        diagonal = factor.diagonal().abs()
-        self.condition = float((diagonal.max() / diagonal.min()) ** 2)
-
-    @classmethod
-    def of(cls, kept: list[Rows], ridge: Tensor) -> _Qr | None:
-        matrix = torch.cat([_rooted(kept, len(ridge), ridge), torch.diag(ridge.sqrt())])
-        factor = torch.linalg.qr(matrix, mode="r")[1]
-        diagonal = factor.diagonal().abs()
-        return cls(factor) if bool(diagonal.min() > 1e-15 * diagonal.max()) else None
-
-    def inverse(self, right: Tensor) -> Tensor:
-        inner = torch.linalg.solve_triangular(self._factor.T, right, upper=False)
-        return torch.linalg.solve_triangular(self._factor, inner, upper=True)
-
-
-class _Dual(_Direct):
-    """The inverse of A^T W A + D by way of A D^-1 A^T + W^-1, one unknown a row (Woodbury)."""
-
-    name = "dual"
-
-    def __init__(self, matrix: Tensor, ridge: Tensor, factor: Tensor) -> None:
-        self._matrix, self._ridge, self._factor = matrix, ridge, factor
-        diagonal = factor.diagonal()
-        self.condition = float((diagonal.max() / diagonal.min()) ** 2) if len(diagonal) else 1.0
-
-    @classmethod
-    def of(cls, kept: list[Rows], ridge: Tensor, like: Tensor) -> _Dual | None:
-        if not bool((ridge > 0).all()):
-            return None  # without damping the dual has no meaning; the caller raises it
-        matrix = _rooted(kept, len(like), like)
-        gram = (matrix / ridge) @ matrix.T
-        gram.diagonal().add_(1.0)
-        factor, info = torch.linalg.cholesky_ex(gram)
-        return cls(matrix, ridge, factor) if int(info) == 0 else None
-
-    def inverse(self, right: Tensor) -> Tensor:
-        scaled = right / self._ridge[:, None]
-        inner = torch.cholesky_solve(self._matrix @ scaled, self._factor)
-        return scaled - (self._matrix.T @ inner) / self._ridge[:, None]
-
-
-class _Cg:
-    """Conjugate gradients on D^-1/2 A^T W A D^-1/2 + I, preconditioned by a low-rank approximation of its first term.
-
-    The approximation is Nystrom's from products with random vectors [Frangella, Tropp, Udell, SIAM J. Matrix Anal.
-    Appl. 2023, algorithm 2.1]; it takes the large eigenvalues out of the
-    spectrum, which for the sensitivities of a network are few and all but fill it.
-    """
-
-    name = "cg"
-    iterations = 1000
-
-    def __init__(
-        self, apply: Callable[[Tensor], Tensor], ridge: Tensor, like: Tensor, rank: int, tolerance: float, seed: int
-    ) -> None:
-        self._apply, self._like, self._tolerance = apply, like, tolerance
-        self._root = ridge.sqrt()
-        self.converged = True
-        n = len(ridge)
-        self._basis, self._values = self._nystrom(n, rank, seed) if rank > 0 else (ridge.new_zeros(n, 0), ridge[:0])
-        self.condition = float(self._values[0]) + 1 if len(self._values) else float("nan")
-
-    def _scaled(self, x: Tensor) -> Tensor:
-        """D^-1/2 A^T W A D^-1/2 x."""
-        return self._apply((x / self._root).to(self._like)).double() / self._root
-
-    def _nystrom(self, n: int, rank: int, seed: int) -> tuple[Tensor, Tensor]:
-        generator = torch.Generator().manual_seed(seed)
-        test = torch.randn(n, rank, generator=generator, dtype=torch.float64).to(self._root.device)
-        test = torch.linalg.qr(test)[0]
-        image = torch.stack([self._scaled(v) for v in test.T], dim=1)
-        shift = float(torch.finfo(self._like.dtype).eps * image.norm())
-        image = image + shift * test
-        inner = test.T @ image
-        factor, info = torch.linalg.cholesky_ex((inner + inner.T) / 2)
-        if int(info) != 0:
-            return test[:, :0], self._root[:0]
-        half = torch.linalg.solve_triangular(factor, image.T, upper=False).T
-        basis, values, _ = torch.linalg.svd(half, full_matrices=False)
-        return basis, (values**2 - shift).clamp(min=0)
-
-    def _precondition(self, x: Tensor) -> Tensor:
-        if not len(self._values):
-            return x
-        part = self._basis.T @ x
-        floor = self._values[-1] + 1
-        return x + self._basis @ ((floor / (self._values + 1) - 1) * part)
-
-    def inverse(self, right: Tensor) -> Tensor:
-        columns = [self._one(column / self._root) / self._root for column in right.T]
-        return torch.stack(columns, dim=1)
-
-    def _one(self, right: Tensor) -> Tensor:
-        x = torch.zeros_like(right)
-        residual = right.clone()
-        goal = self._tolerance * float(right.norm())
-        z = self._precondition(residual)
-        direction, slope = z.clone(), float(residual @ z)
-        for _ in range(self.iterations):
-            if float(residual.norm()) <= goal:
-                return x
-            image = self._scaled(direction) + direction
-            length = slope / float(direction @ image)
-            x = x + length * direction
-            residual = residual - length * image
-            z = self._precondition(residual)
-            new = float(residual @ z)
-            direction, slope = z + (new / slope) * direction, new
-        self.converged = self.converged and float(residual.norm()) <= 1e3 * goal
-        return x
-
-    def rank(self, ridge: Tensor, seed: int) -> float:
-        return float((self._values / (self._values + 1)).sum()) if len(self._values) else float("nan")
-
-
-def _rooted(kept: list[Rows], columns: int, like: Tensor) -> Tensor:
-    """The rows in float64, scaled by the roots of their weights so that W is the identity."""
-    blocks = [rows.matrix.double() * rows.weights.double().sqrt()[:, None] for rows in kept]
-    return torch.cat(blocks) if blocks else like.new_zeros(0, columns)
-
-
-def _to_meet(factor: _Factor, C: Tensor, gap: Tensor) -> tuple[Tensor, bool]:
+def _to_meet(factor: Factor, C: Tensor, gap: Tensor) -> tuple[Tensor, bool]:
     """The cheapest x with C x = gap in the metric of the factor, and whether C was rank deficient."""
     if len(gap) == 0:
         return C.new_zeros(C.shape[1]), False

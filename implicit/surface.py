@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
-from implicit.extraction import SurfaceError, marched_surface, newton_to_surface
-from implicit.field import Field
+from implicit.extraction import marched_surface, newton_to_surface
+from implicit.field import Field, SurfaceError
 
 # Six-point rule of degree 4 on the triangle (Dunavant 1985): two orbits (1 - 2a, a, a) and their weights.
 _TRIANGLE_ORBITS = ((0.445948490915965, 0.223381589678011), (0.091576213509771, 0.109951743655322))
@@ -36,9 +36,23 @@ class SurfaceSample:
     def __len__(self) -> int:
         return len(self.points)
 
+    def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> SurfaceSample:
+        """The same sample in another precision or on another device."""
+        parts = (self.points, self.normals, self.weights)
+        return SurfaceSample(*(part.to(dtype=dtype, device=device) for part in parts))
+
     def integrate(self, density: Float[Tensor, " n"]) -> float:
         """Integral over the surface of a density given at the points."""
         return float(self.weights @ density)
+
+
+@dataclass(frozen=True, eq=False)
+class MeshedSample:
+    """A quadrature and the mesh whose cells it came from."""
+
+    sample: SurfaceSample
+    vertices: Float[Tensor, "v d"]  # on the surface
+    faces: Int[Tensor, "m d"]  # corners of the cells
 
 
 def surface_quadrature(field: Field, resolution: int = 64, *, exact_points: bool = False) -> SurfaceSample:
@@ -56,13 +70,17 @@ def surface_quadrature(field: Field, resolution: int = 64, *, exact_points: bool
     Raises:
         SurfaceError: There is no surface in the bounds, it leaves them, or the gradient vanishes on it.
     """
-    reach = 2 * field.size / resolution
-    nodes = curved_cells(field, resolution)
+    sample = meshed_quadrature(field, resolution).sample
+    return placed(field, sample.points, sample.weights, 2 * field.size / resolution) if exact_points else sample
+
+
+def meshed_quadrature(field: Field, resolution: int) -> MeshedSample:
+    """As surface_quadrature, its points left on the cells, with the corners of the cells as a mesh."""
+    corners, cells = marched_surface(field, resolution)
+    nodes = _with_middle_nodes(field, corners, cells, 2 * field.size / resolution)
     points, normals, weights = _curved_rule(nodes)
     keep = weights > 0
-    if not exact_points:
-        return SurfaceSample(points[keep], normals[keep], weights[keep])
-    return placed(field, points[keep], weights[keep], reach)
+    return MeshedSample(SurfaceSample(points[keep], normals[keep], weights[keep]), corners, cells)
 
 
 def curved_cells(field: Field, resolution: int) -> Float[Tensor, "m k d"]:

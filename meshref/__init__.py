@@ -15,6 +15,7 @@ from meshref.killing import (
     killing_energy_density,
 )
 from meshref.arap import ArapResult, ArapSolver, ArapStatus, ArapStep, arap, arap_energy
+from meshref.biharmonic import BiharmonicResult, BiharmonicStatus, biharmonic
 from meshref.flow import (
     FlowResult,
     FlowStatus,
@@ -71,6 +72,7 @@ from meshref.meshlab import (
 __all__ = [
     "killing", "KillingResult", "KillingSolver", "KillingStatus", "killing_energy", "killing_energy_density",
     "arap", "ArapResult", "ArapSolver", "ArapStatus", "ArapStep", "arap_energy",
+    "biharmonic", "BiharmonicResult", "BiharmonicStatus",
     "mean_curvature_flow", "FlowResult", "FlowStatus", "FlowStep", "explicit_step_limit",
     "volume", "area", "centroid", "second_moment", "sphericity", "euler_number", "genus", "components",
     "component_count", "face_normals", "vertex_normals", "vertex_areas",

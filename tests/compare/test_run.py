@@ -70,6 +70,13 @@ def test_the_mesh_reaches_its_handles_exactly_and_has_less_energy_than_the_restr
     assert sides["mesh"]["killing_spokes_and_rims"] <= sides["mesh, ARAP"]["killing_spokes_and_rims"]
 
 
+def test_a_biharmonic_mesh_meets_the_core_and_stays_near_the_falloff(small_run):
+    """Core and rest are held to rounding; between them the smoothest way is within a fifth of the quintic falloff."""
+    sides = by_operation(small_run, "geometric").sides
+    assert sides["mesh"]["error_max"] < 1e-12
+    assert 1e-3 < sides["mesh, biharmonic"]["error_relative"] < 0.2
+
+
 def test_what_is_done_is_not_done_again(small_run, small_cases):
     content = (small_run.folder / FILE).read_bytes()
     told = []

@@ -14,6 +14,8 @@ from implicit import (
     Field,
     HalfSpace,
     Handle,
+    RigidMotion,
+    SurfaceSample,
     Volume,
     geometric_edit,
     sample_surface,
@@ -21,8 +23,11 @@ from implicit import (
     surface_quadrature,
 )
 from implicit.evolve import EditStatus
+from implicit.geometric import with_evidence
+from tests.implicit.conftest import Occupancy
 
 EVERYWHERE = Ball((0, 0, 0), 10.0)
+ALONE = {"off_surface_strength": 0.0}  # the surface alone; tied to the field around it, it is met to 1e-5 or so
 
 
 def bump(field, height=0.1):
@@ -44,7 +49,7 @@ def test_a_sphere_grows_exactly(parts):
 def test_a_sphere_moves_as_a_whole():
     """A translation is not a motion along the normal; the field must still end in the right place."""
     field = shapes.sphere(radius=0.4)
-    edit = geometric_edit(field, Handle(EVERYWHERE, (0.2, 0.0, -0.1)), parts=4, points=300)
+    edit = geometric_edit(field, Handle(EVERYWHERE, (0.2, 0.0, -0.1)), parts=4, points=300, **ALONE)
     center = (edit.tracked if edit.tracked is not None else edit.points + edit.displacement).mean(dim=0)
     assert float(edit.error_field().abs().max()) < 1e-6
     torch.testing.assert_close(
@@ -67,6 +72,81 @@ def test_error_field_is_measured_on_the_edited_field(wobbly):
     unedited = replace(edit, field=wobbly)
     largest = unedited.error_field().abs().max()
     assert float(largest) == pytest.approx(1.0, abs=0.15)
+
+
+def test_error_field_is_the_way_along_the_starting_normal():
+    """A sphere was to grow to 0.6 and also slipped by s along x: on the ray from the centre at the angle a to x its
+    radius is s cos a + sqrt(0.6^2 - s^2 sin^2 a)."""
+    slip = 0.01
+    edit = geometric_edit(shapes.sphere(radius=0.5), Handle(EVERYWHERE, Along(0.1)), parts=1, points=200)
+    slipped = replace(edit, field=shapes.sphere(radius=0.6, center=(slip, 0, 0)))
+    cosine = edit.normals[:, 0]
+    reached = slip * cosine + (0.36 - slip**2 * (1 - cosine**2)).sqrt()
+    torch.testing.assert_close(slipped.error_field(), (reached - 0.6) / 0.1, rtol=0, atol=2e-5)
+
+
+def test_a_turned_region_is_judged_along_its_turned_normals():
+    """A rotation of a sphere asks for nothing: turned by a quarter, normals and surface agree again."""
+    field = shapes.sphere(radius=0.5)
+    turn = Handle(EVERYWHERE, RigidMotion(rotation=(0, 0, math.pi / 2)))
+    edit = geometric_edit(field, turn, parts=1, points=200)
+    wanted, along = edit.asked(edit.points, edit.normals)
+    torch.testing.assert_close(along, (edit.points + wanted) / 0.5, rtol=0, atol=1e-6)
+
+
+def test_the_error_can_be_asked_for_at_other_points(wobbly):
+    edit = geometric_edit(wobbly, bump(wobbly), points=1000, parts=2)
+    again = edit.error_field(SurfaceSample(edit.points, edit.normals, edit.weights))
+    assert torch.equal(again, edit.error_field())
+    dense = surface_quadrature(wobbly, 32)
+    error = edit.error_field(dense)
+    assert error.shape == dense.weights.shape
+    assert bool(torch.isfinite(error).all())
+
+
+def test_a_larger_displacement_takes_more_parts():
+    """The first part tries little; the linearity error of each sizes the next."""
+    field = shapes.sphere(radius=0.3)
+    small, large = (geometric_edit(field, Handle(EVERYWHERE, Along(h)), points=200) for h in (0.02, 0.3))
+    assert len(small.history) < len(large.history) <= 24
+    for edit in (small, large):
+        fractions = [row["fraction"] for row in edit.history]
+        assert fractions == sorted(fractions)
+        assert fractions[-1] == 1.0
+        assert edit.status is EditStatus.DONE
+        assert float(edit.error_field().abs().max()) < 1e-6
+
+
+def test_points_are_drawn_anew_where_they_thin_out():
+    """A ball drawn out to an ellipsoid three times as long: its area grows, and with it the number of points."""
+    field = shapes.ellipsoid((0.25, 0.25, 0.25))
+    stretch = Handle(EVERYWHERE, lambda points: points * torch.tensor([0.0, 0.0, 2.0], dtype=points.dtype))
+    edit = geometric_edit(field, stretch, parts=8, points=400)
+    assert edit.history[0]["points_used"] == 400
+    assert edit.history[-1]["points_used"] > 600
+    assert float(edit.error_field().abs().max()) < 1e-3
+
+
+def test_points_that_only_slide_can_be_left_out():
+    """Moved along x, the points of a sphere on the circle x = 0 slide along it."""
+    field = shapes.sphere(radius=0.5)
+    edit = geometric_edit(field, Handle(EVERYWHERE, (0.1, 0, 0)), parts=2, points=300, least_alignment=0.3, **ALONE)
+    left_out = torch.isnan(edit.wanted).any(dim=1)
+    assert torch.equal(left_out, edit.normals[:, 0].abs() < 0.3)
+    assert float(edit.error_field()[~left_out].abs().max()) < 1e-6
+
+
+def test_a_piece_of_surface_that_appears_is_reported():
+    """Judged on a field with a second ball, which stands for what an edit might leave."""
+    ball = shapes.sphere(radius=0.3, center=(-0.4, 0, 0))
+    edit = geometric_edit(ball, Handle(EVERYWHERE, Along(0.01)), parts=1, points=100)
+    assert (edit.status, edit.notes) == (EditStatus.DONE, ())
+    assert (edit.before.topology.components, edit.after.topology.components) == (1, 1)
+    assert edit.after.slope_median == pytest.approx(1.0, abs=1e-6)
+    two = shapes.smooth_union(ball, shapes.sphere(radius=0.1, center=(0.6, 0, 0)), blend=0.01)
+    stray = with_evidence(replace(edit, field=two), edit.before, 48)
+    assert stray.status is EditStatus.STRAY_PIECES
+    assert "2 pieces" in stray.notes[0]
 
 
 def test_volume_can_be_kept_while_a_bump_is_raised(wobbly):
@@ -110,6 +190,19 @@ def test_a_scaled_field_gives_the_same_edit(wobbly):
     plain = geometric_edit(wobbly, bump(wobbly), points=800, parts=2)
     times = geometric_edit(Field(Times(wobbly.module)), bump(wobbly), points=800, parts=2)
     torch.testing.assert_close(times.displacement, plain.displacement, rtol=0, atol=1e-6)
+
+
+def test_an_occupancy_gives_the_same_edit(wobbly):
+    """The same network as a distance and as an occupancy, level 0.5 and large inside."""
+    occupancy = Field(Occupancy(wobbly.module), level=0.5, inside="positive")
+    sample = sample_surface(wobbly, 800)  # the grids of the two fields would give other points of the same surface
+    options = {"points": sample, "parts": 1, "damping": 1e-5}
+    plain, other = (geometric_edit(field, bump(field), **options, **ALONE) for field in (wobbly, occupancy))
+    torch.testing.assert_close(other.field.theta, plain.field.theta, rtol=0, atol=1e-9)
+    # In several parts, and tied to a field off the surface that is another one, the surfaces still agree.
+    tied = [geometric_edit(field, bump(field), points=sample, parts=4) for field in (wobbly, occupancy)]
+    apart = (tied[0].error_field() - tied[1].error_field()).square().mean().sqrt()
+    assert float(apart) < 0.02
 
 
 def test_the_same_seed_gives_the_same_bits(wobbly):

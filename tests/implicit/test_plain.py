@@ -6,7 +6,7 @@ from torch.func import grad, jvp, vmap
 
 from implicit import Field, Siren
 from implicit.models import Mlp
-from implicit.plain import is_plain, plain_gradient, plain_gradient_and_slope
+from implicit.plain import GRAM_ROWS, is_plain, plain_gradient, plain_gradient_and_slope, plain_gram
 
 
 def networks():
@@ -32,6 +32,16 @@ def test_closed_form_is_what_automatic_differentiation_gives(field):
     for axis, direction in enumerate(torch.eye(field.dimension, dtype=torch.float64)):
         along = vmap(lambda x, e=direction: jvp(lambda y: grad(value)(field.theta, y), (x,), (e,))[1])(points)
         torch.testing.assert_close(slopes[:, axis], along)
+
+
+@pytest.mark.parametrize("field", list(networks()), ids=["siren", "siren-2d", "softplus", "relu"])
+def test_gram_matrix_is_that_of_the_rows(field):
+    generator = torch.Generator().manual_seed(1)
+    n = GRAM_ROWS + 30  # more than one block
+    points = torch.randn(n, field.dimension, generator=generator, dtype=torch.float64)
+    scale = torch.rand(n, generator=generator, dtype=torch.float64)
+    rows = scale[:, None] * plain_gradient(field, points)
+    torch.testing.assert_close(plain_gram(field, points, scale).tril(), (rows @ rows.T).tril())
 
 
 def test_it_is_left_alone_where_only_some_parameters_are_edited():

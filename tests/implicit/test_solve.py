@@ -20,10 +20,15 @@ def problem(rows, columns, seed=0, rank=None):
 
 def by_numpy(rows, damping, C, r):
     """The KKT system in full."""
-    A, y, w = (part.numpy() for part in rows)
+    A, y, w = (part.numpy() for part in rows[:3])
     n, m = A.shape[1], len(r)
     kkt = np.block([[A.T @ (w[:, None] * A) + damping * np.eye(n), C.numpy().T], [C.numpy(), np.zeros((m, m))]])
     return np.linalg.solve(kkt, np.concatenate([A.T @ (w * y), r.numpy()]))[:n]
+
+
+def by_products(rows, gram=True):
+    A = rows.matrix
+    return Operator(lambda x: A @ x, lambda w: A.T @ w, rows.target, rows.weights, (lambda: A @ A.T) if gram else None)
 
 
 @pytest.mark.parametrize("method", ["primal", "dual", "qr", "cg"])
@@ -84,10 +89,35 @@ def test_rank_is_that_of_the_rows():
 def test_products_alone_are_enough():
     rows, C, r = problem(40, 25)
     system = LeastSquares(25, rows.matrix, rank=5)
-    system.add_operator(Operator(lambda x: rows.matrix @ x, lambda w: rows.matrix.T @ w, rows.target, rows.weights))
+    system.add_operator(by_products(rows, gram=False))
     solution = system.solve(0.05, (C, r))
     np.testing.assert_allclose(solution.x.numpy(), by_numpy(rows, 0.05, C, r), rtol=1e-8, atol=1e-10)
     assert solution.method == "cg"
+
+
+def test_products_of_the_equations_with_each_other_give_the_dual():
+    rows, C, r = problem(25, 40)
+    system = LeastSquares(40, rows.matrix)
+    system.add_operator(by_products(rows))
+    assert system.trace() == pytest.approx(float((rows.weights[:, None] * rows.matrix**2).sum()))
+    solution = system.solve(0.05, (C, r))
+    np.testing.assert_allclose(solution.x.numpy(), by_numpy(rows, 0.05, C, r), rtol=1e-8, atol=1e-10)
+    assert solution.method == "dual"
+    assert solution.rank == pytest.approx(least_squares([rows], 40, rows.matrix, damping=0.05).rank)
+
+
+def test_products_go_to_conjugate_gradients_where_the_dual_cannot_take_them():
+    rows, _, _ = problem(25, 40)
+    uneven = torch.linspace(0.1, 1, 40, dtype=torch.float64)
+    system = LeastSquares(40, rows.matrix)
+    system.add_operator(by_products(rows))
+    assert system.solve(uneven).method == "cg"
+    system.add_operator(by_products(rows))
+    assert system.solve(0.1).method == "cg"
+    dual = LeastSquares(40, rows.matrix, method="dual")
+    dual.add_operator(by_products(rows, gram=False))
+    with pytest.raises(ValueError, match="know their Gram matrix"):
+        dual.solve(0.1)
 
 
 def test_auto_takes_the_smaller_form():
@@ -97,10 +127,19 @@ def test_auto_takes_the_smaller_form():
     assert least_squares([many], 50, many.matrix, damping=1.0).method == "primal"
 
 
+@pytest.mark.parametrize("method", ["primal", "dual"])
+def test_rows_may_leave_out_the_first_unknowns(method):
+    rows, _, _ = problem(60, 20)
+    late = Rows(rows.matrix[:, 8:], rows.target, rows.weights, first=8)
+    whole = late._replace(matrix=torch.nn.functional.pad(late.matrix, (8, 0)), first=0)
+    left, right = (least_squares([rows, extra], 20, rows.matrix, damping=0.1, method=method) for extra in (late, whole))
+    torch.testing.assert_close(left.x, right.x)
+
+
 def test_blocks_add_up():
     rows, C, r = problem(60, 20)
     whole = least_squares([rows], 20, rows.matrix, damping=0.1, constraints=(C, r))
-    parts = [Rows(*(part[k : k + 7] for part in rows)) for k in range(0, 60, 7)]
+    parts = [Rows(*(part[k : k + 7] for part in rows[:3])) for k in range(0, 60, 7)]
     split = least_squares(parts, 20, rows.matrix, damping=0.1, constraints=(C, r))
     torch.testing.assert_close(split.x, whole.x)
 

@@ -5,9 +5,21 @@ import math
 import numpy as np
 import pytest
 import torch
+from skimage.measure import marching_cubes
 
-from implicit import Field, SurfaceError, Volume, extract_mesh, sample_surface, shapes, surface_quadrature
+from implicit import (
+    Field,
+    SurfaceError,
+    Volume,
+    decoder_field,
+    extract_mesh,
+    sample_surface,
+    shapes,
+    surface_quadrature,
+)
+from implicit.families import CHAIRS
 from implicit.functionals import volume_terms
+from implicit.marching import Grid, march, near_surface
 
 TORUS_AREA = 4 * math.pi**2 * 0.7 * 0.25
 TORUS_VOLUME = 2 * math.pi**2 * 0.7 * 0.25**2
@@ -73,6 +85,11 @@ def test_random_samples_are_even_and_repeat_with_their_seed():
     assert sample.integrate(sample.points[:, 2] ** 2) / area == pytest.approx(0.25**2 / 2, rel=0.02)
 
 
+def test_a_sample_can_change_its_precision():
+    sample = surface_quadrature(shapes.sphere(radius=0.5), 16).to(torch.float32)
+    assert {part.dtype for part in (sample.points, sample.normals, sample.weights)} == {torch.float32}
+
+
 def test_mesh_of_a_sphere_faces_outward_and_lies_on_it():
     V, F = extract_mesh(shapes.sphere(radius=0.5), 64)
     a, b, c = (V[F[:, k]] for k in range(3))
@@ -115,14 +132,41 @@ def test_leaving_out_blocks_loses_no_body_and_no_thin_shell():
 
 
 @pytest.mark.parametrize("name", ["spot", "bracket"])
-def test_blocks_left_out_change_nothing_of_the_signs(name):
-    from implicit.extraction import _axes, grid_values
-
+def test_blocks_left_out_change_nothing_of_the_surface(name):
+    """Chunks have the signs of the field at all their nodes, and marching over all nodes finds no more than they do."""
     field = shapes.bundled(name)
-    axes, _ = _axes(field, 100)
-    points = torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1).reshape(-1, 3)
-    whole = field.value(points).view(101, 101, 101)
-    assert torch.equal(grid_values(field, axes) < 0, whole < 0)
+    grid = Grid.over(field, 100)
+    index = torch.cartesian_prod(*[torch.arange(count) for count in grid.nodes])
+    values = field.value(grid.place(index)).view(grid.nodes).numpy()
+    for start, chunk in near_surface(field, grid):
+        here = values[tuple(slice(a, a + n) for a, n in zip(start, chunk.shape, strict=True))]
+        np.testing.assert_array_equal(chunk < 0, here < 0)
+    whole, faces, _, _ = marching_cubes(values, 0.0)
+    found, mine = march(field, grid)
+    assert len(found) == len(whole)
+    assert len(mine) == len(faces)
+
+
+@pytest.mark.parametrize("resolution", [64, 96, 128])
+def test_a_truncated_distance_is_extracted_whole(resolution):
+    """Level where |d| > 0.1, so at the middle of most blocks: the legs and the back of a chair were once cut off."""
+    theta = CHAIRS.draw(1)[0]
+    field = decoder_field(lambda x, z: CHAIRS.distance(z, x).clamp(-0.1, 0.1), theta)
+    whole, _ = extract_mesh(CHAIRS.field(theta), resolution)
+    found, _ = extract_mesh(field, resolution)
+    np.testing.assert_allclose([found.min(0), found.max(0)], [whole.min(0), whole.max(0)], atol=1e-9)
+    assert len(found) == len(whole)
+
+
+@pytest.mark.parametrize("resolution", [12, 16, 31, 64, 97])
+def test_chunks_fit_together(resolution):
+    """Every edge of the mesh has two faces, in opposite directions, also where chunks meet and where f = 0 in nodes."""
+    for field in (shapes.torus(0.6, 0.25), shapes.sphere(radius=0.5), shapes.bundled("spot")):
+        _, F = extract_mesh(field, resolution)
+        directed = np.concatenate([F[:, [0, 1]], F[:, [1, 2]], F[:, [2, 0]]])
+        assert len(np.unique(directed, axis=0)) == len(directed)
+        forward, backward = (set(map(tuple, part)) for part in (directed, directed[:, ::-1]))
+        assert forward == backward
 
 
 def test_a_grid_beyond_the_memory_limit_is_refused_at_once():

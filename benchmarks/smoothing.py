@@ -1,0 +1,60 @@
+"""Smoothing of a bundled field: seconds of its steps, and how well what is held is held."""
+
+import torch
+
+import implicit
+from implicit import shapes
+
+
+class Smoothing:
+    """A few steps by each method, with and without the volume held."""
+
+    params = (["implicit", "explicit"], ["free", "held"])
+    param_names = ("method", "volume")
+    timeout = 300
+
+    def setup(self, method, volume):
+        torch.set_num_threads(1)
+        self.field = shapes.bundled("spot")
+        self.constraints = (implicit.Volume(),) if volume == "held" else ()
+
+    def smoothed(self, method, steps=3):
+        return implicit.smooth(self.field, steps=steps, method=method, constraints=self.constraints)
+
+    def time_smooth(self, method, volume):
+        self.smoothed(method)
+
+    def track_volume_change(self, method, volume):
+        edit = self.smoothed(method)
+        before, after = (implicit.integrate(f, implicit.Volume(), 128).value for f in (self.field, edit.field))
+        return abs(after / before - 1)
+
+    def track_most_pieces(self, method, volume):
+        return max(row["components"] for row in self.smoothed(method, steps=10).history)
+
+    track_volume_change.unit = "relative"
+    track_most_pieces.unit = "pieces"
+
+
+class Integrals:
+    """The volume of a torus by one evaluation of a quadrature, against its closed form."""
+
+    params = (24, 48, 96)
+    param_names = ("resolution",)
+
+    def setup(self, resolution):
+        torch.set_num_threads(1)
+        self.field = shapes.torus(0.6, 0.25)
+        self.sample = implicit.surface_quadrature(self.field, resolution)
+
+    def time_volume(self, resolution):
+        implicit.Volume().value(self.field, self.sample)
+
+    def track_volume_error(self, resolution):
+        return abs(implicit.Volume().value(self.field, self.sample) / shapes.exact_volume(self.field) - 1)
+
+    def track_area_error(self, resolution):
+        return abs(implicit.Area().value(self.field, self.sample) / shapes.exact_area(self.field) - 1)
+
+    track_volume_error.unit = "relative error"
+    track_area_error.unit = "relative error"

@@ -1,0 +1,64 @@
+"""The field off the surface follows the surface."""
+
+import pytest
+import torch
+
+from implicit import sample_surface, shapes
+from implicit.deformation import DeformationSpace
+from implicit.offsurface import off_surface
+from implicit.solve import LeastSquares
+
+
+def solved(field, energy):
+    space = DeformationSpace(field)
+    system = LeastSquares(space.size, field.theta, method="qr")
+    for rows in energy.rows(space):
+        system.add(rows)
+    return field.with_theta(field.theta + system.solve(relative_damping=1e-12).x)
+
+
+@pytest.mark.parametrize("scale", [1.0, 5.0], ids=["distance", "not-a-distance"])
+def test_a_sphere_told_to_grow_does_so_from_its_off_surface_points_alone(scale):
+    """f = scale (|x| - r): every point off the surface agrees that r grows by just what the surface was told."""
+    field = shapes.sphere(radius=0.4, scale=scale, parameters=["radius"])
+    sample = sample_surface(field, 200)
+    energy = off_surface(field, sample, torch.full((200,), 0.03, dtype=torch.float64))
+    assert float(solved(field, energy).theta) == pytest.approx(0.43, rel=1e-9)
+
+
+def test_a_tied_field_follows_the_step_that_the_surface_takes():
+    """Two parameters, the radius and a height added to f: raising it alone would tear the field off its surface."""
+    field = shapes.sphere(radius=0.4)
+    sample = sample_surface(field, 200)
+    energy = off_surface(field, sample, points=50)
+    (rows,) = energy.rows(DeformationSpace(field))
+    grown = torch.zeros_like(field.theta)
+    grown[0] = 0.03
+    torch.testing.assert_close(rows.matrix @ grown, energy.target, rtol=0, atol=1e-12)
+
+
+def test_no_motion_asked_for_means_none():
+    field = shapes.sphere(radius=0.4)
+    asked = torch.full((100,), float("nan"), dtype=torch.float64)
+    moved = solved(field, off_surface(field, sample_surface(field, 100), asked))
+    torch.testing.assert_close(moved.theta, field.theta, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("motion", [None, torch.zeros(100, dtype=torch.float64)], ids=["tied", "told"])
+def test_the_products_are_those_of_the_rows(wobbly, motion):
+    space = DeformationSpace(wobbly)
+    energy = off_surface(wobbly, sample_surface(wobbly, 100), motion, points=20)
+    (rows,) = energy.rows(space)
+    operator = energy.operator(space)
+    x, y = torch.randn(space.size, dtype=torch.float64), torch.randn(20, dtype=torch.float64)
+    torch.testing.assert_close(operator.forward(x), rows.matrix @ x)
+    torch.testing.assert_close(operator.adjoint(y), rows.matrix.T @ y)
+
+
+def test_a_distorted_distance_is_restored():
+    """f = r^2 / R - r and the like have slope one on the surface only: the rest asks for its deviation back."""
+    field = shapes.ellipsoid((0.5, 0.5, 0.5))
+    sample = sample_surface(field, 4000)
+    energy = off_surface(field, sample, restore=0.5, points=50)
+    value, distance = field.value(energy.points), energy.points.norm(dim=1) - 0.5
+    torch.testing.assert_close(energy.target, 0.5 * (distance - value), rtol=0, atol=5e-3)

@@ -1,0 +1,41 @@
+"""Slopes and pieces of shapes for which both are known."""
+
+import pytest
+
+from implicit import shapes
+from implicit.soundness import changes, field_soundness
+
+
+@pytest.mark.parametrize("scale", [1.0, 5.0])
+def test_the_slope_of_a_scaled_distance_is_its_scale(scale):
+    found = field_soundness(shapes.sphere(radius=0.5, scale=scale))
+    for slope in (found.slope_low, found.slope_median, found.slope_high):
+        assert slope == pytest.approx(scale, rel=1e-9)
+    assert (found.pieces, found.topology.euler) == (1, 2)
+
+
+def test_a_piece_more_is_told_with_its_area_and_one_less_as_merged():
+    one = field_soundness(shapes.sphere(radius=0.3, center=(-0.4, 0, 0)))
+    balls = [shapes.sphere(radius=0.3, center=(-0.4, 0, 0)), shapes.sphere(radius=0.1, center=(0.6, 0, 0))]
+    two = field_soundness(shapes.smooth_union(*balls, blend=0.01))
+    (note,) = changes(one, two)
+    assert "2 pieces, where it had 1" in note
+    assert "0.12" in note  # 4 pi 0.1^2 = 0.126, less what the flat triangles of a coarse ball miss
+    assert "merged" in changes(two, one)[0]
+
+
+def test_a_hole_that_closes_is_told_by_the_euler_number():
+    torus, ball = field_soundness(shapes.torus()), field_soundness(shapes.sphere(radius=0.5))
+    assert "from 0 to 2" in changes(torus, ball)[0]
+
+
+def test_a_flattened_field_is_told():
+    steep, flat = (field_soundness(shapes.sphere(radius=0.5, scale=scale)) for scale in (1.0, 0.3))
+    assert "flat near the surface" in changes(steep, flat)[0]
+    assert changes(steep, steep) == ()
+
+
+def test_a_curve_has_pieces_too():
+    found = field_soundness(shapes.circle(radius=0.5))
+    assert found.pieces == 1
+    assert found.slope_median == pytest.approx(1.0, rel=1e-9)
