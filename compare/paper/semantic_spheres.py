@@ -16,6 +16,7 @@ from implicit import families
 from implicit.models import DualSdf
 
 PART = "semantic_spheres"
+TOLERANCE = 0.05  # of what was asked, where each stops: of the surface, of the spheres
 
 
 def draw(request: Request) -> list[Finding]:
@@ -33,12 +34,12 @@ def _both_ways(edit: FamilyEdit, parameter: str) -> list[Finding]:
     ends = leg_ends if parameter == "leg_length" else wing_ends
     points, ways = edit.points()
     implicit.semantic_edit(edit.field, points, ways, steps=1)  # torch prepares its transforms at the first call
-    ours = implicit.semantic_edit(edit.field, points, ways)
+    ours = implicit.semantic_edit(edit.field, points, ways, tolerance=TOLERANCE)
     decoder = edit.model.decoder
     assert isinstance(decoder, DualSdf)
     code = edit.model.latents[edit.shape]
     chosen, sphere_ways = _grasped(decoder, code, points, ways)
-    theirs = sphere_edit(decoder, code, chosen, sphere_ways)
+    theirs = sphere_edit(decoder, code, chosen, sphere_ways, tolerance=TOLERANCE)
     findings = []
     for name, field, steps, time, status in (
         ("ours", ours.field, len(ours.history), ours.seconds, ours.status.name),
