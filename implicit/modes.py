@@ -15,7 +15,7 @@ from torch import Tensor
 
 from implicit.extraction import newton_to_surface
 from implicit.field import Field
-from implicit.sensitivity import basis, normal_displacement
+from implicit.sensitivity import basis
 from implicit.surface import SurfaceSample
 
 
@@ -61,6 +61,8 @@ def mirror_symmetry(
         int u(x) u(mx) / sqrt(int u(x)^2 int u(mx)^2)
 
     Args:
+        field: With few parameters, such as a code: B is made whole.
+        sample: Points and weights on the surface.
         directions: Changes of the parameters, a column each.
         axis: Normal of the mirror plane through the origin: 0, 1, 2 for x, y, z.
 
@@ -81,8 +83,6 @@ def mirror_symmetry(
             "another axis, or a symmetric shape."
         )
     weights, here, there = sample.weights[arrived], sample.points[arrived], images[arrived]
-    measures = []
-    for direction in directions.T:
-        u, v = (normal_displacement(field, x, direction.to(field.theta)) for x in (here, there))
-        measures.append((weights * u * v).sum() / ((weights * u * u).sum() * (weights * v * v).sum()).sqrt())
-    return torch.stack(measures)
+    u, v = (basis(field, points) @ directions.to(field.theta) for points in (here, there))
+    both, own, other = (weights @ products for products in (u * v, u * u, v * v))
+    return both / (own * other).sqrt()

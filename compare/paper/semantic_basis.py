@@ -24,7 +24,7 @@ def draw(request: Request) -> list[Finding]:
     first = model.nearest(torch.tensor(list(model.family.ranges.values())).double().mean(dim=1))
     second = int((model.latents - model.latents[first]).norm(dim=1).argsort()[1])
     fields = [model.field(model.latents[k]) for k in (first, second)]
-    samples = [implicit.surface_quadrature(field, 48) for field in fields]
+    samples = [implicit.sample_surface(field, 4000) for field in fields]
     directions = implicit.surface_modes(fields[0], samples[0], COUNT).directions
     symmetry = [implicit.mirror_symmetry(f, s, directions) for f, s in zip(fields, samples, strict=True)]
     request.save(_picture(fields, directions, symmetry, 64 if request.quick else 128), PART)
