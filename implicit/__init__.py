@@ -5,6 +5,7 @@ Sensitivity, ICLR 2023, arXiv:2304.12951].
 """
 
 from implicit.basis_function import BasisFunction, basis_function, one_weight_per_layer
+from implicit.checkpoints import load_checkpoint
 from implicit.evolve import Edit, EditStatus
 from implicit.expressibility import Expressibility, Verdict, expressibility
 from implicit.extraction import extract_mesh, project_to_surface
@@ -15,9 +16,11 @@ from implicit.functionals import Area, Functional, Integral, SurfaceIntegral, Vo
 from implicit.geometric import geometric_edit
 from implicit.guard import Holding
 from implicit.models import Siren
+from implicit.modes import SurfaceModes, mirror_symmetry, surface_modes
 from implicit.regions import Along, Ball, Box, HalfSpace, Handle, NearPoints, Region, RigidMotion
 from implicit.rigid import rigid_edit
 from implicit.sampling import sample_surface, transport
+from implicit.semantic import CodePrior, prescribe, semantic_edit
 from implicit.sensitivity import adjoint, basis, normal_displacement
 from implicit.smoothing import Until, explicit_step_limit, smooth
 from implicit.soundness import Soundness, field_soundness
@@ -31,6 +34,7 @@ __all__ = [
     "BasisFunction",
     "Bending",
     "Box",
+    "CodePrior",
     "Edit",
     "EditStatus",
     "Expressibility",
@@ -50,6 +54,7 @@ __all__ = [
     "Soundness",
     "SurfaceError",
     "SurfaceIntegral",
+    "SurfaceModes",
     "SurfaceSample",
     "Topology",
     "Training",
@@ -69,15 +74,20 @@ __all__ = [
     "fit_field",
     "geometric_edit",
     "integrate",
+    "load_checkpoint",
     "load_field",
-    "mesh_topology",
+    "mirror_symmetry",
     "normal_displacement",
+    "prescribe",
+    "mesh_topology",
     "one_weight_per_layer",
     "project_to_surface",
     "rigid_edit",
     "sample_surface",
     "save_field",
+    "semantic_edit",
     "smooth",
+    "surface_modes",
     "surface_quadrature",
     "surface_topology",
     "transport",

@@ -164,6 +164,8 @@ class StepProblem:
     probe: Tensor | None = None  # points whose motion decides whether the step is trusted; None: the carried ones
     # Motion along the surface that the normal motion leaves open, of the carried points (all, tracked ones last).
     slide: Callable[[Tensor, Tensor], Tensor] | None = None
+    # Brings the carried points, where they were predicted, onto the moved surface; takes and returns what Newton does.
+    place: Callable[..., tuple[Tensor, Tensor]] = newton_to_surface
     row: Row | None = None  # what the operation adds to the record of the step
     # The same, of the surface after the step, given what is held and the part of the step that was taken.
     record: Callable[[Field, MeshedSample, Row, float], Row] | None = None
@@ -469,7 +471,7 @@ class _Loop:
         # A point may have to go as far again as it was predicted to; a cell more allows for small steps.
         reach = 2 * float(way.norm(dim=1).max()) + 2 * field.size / self._guard.holding.resolution
         try:
-            arrived_at, arrived = newton_to_surface(moved, points + way, reach=reach)
+            arrived_at, arrived = problem.place(moved, points + way, reach=reach)
         except ValueError:
             return EditStatus.SURFACE_LOST, math.inf
         trial = _Trial(solution, x, moved, way, arrived_at, arrived, reach, solves)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from os import PathLike, fspath
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
@@ -317,20 +317,35 @@ def decoder_field(
     decoder: nn.Module | Callable[[Tensor, Tensor], Tensor],
     latent: Float[Tensor, " l"],
     *,
-    level: float = 0.0,
-    inside: Literal["negative", "positive"] = "negative",
-    bounds: Bounds = CUBE,
+    level: float | None = None,
+    inside: Literal["negative", "positive"] | None = None,
+    bounds: Bounds | None = None,
     units: Units | None = None,
+    weights: Iterable[str] | None = None,
 ) -> Field:
     """A field whose parameters are the latent code of a generative model; the decoder itself stays as it is.
 
     Args:
         decoder: Maps points (N, D) and one code (L,) to values (N,) or (N, 1).
         latent: The code (L,) to start from; `write_back` stores the edited code in it.
-        level, inside, bounds, units: As for Field.
+        level, inside, bounds: As for Field; None takes the decoder's attribute of that name if it has one, else 0,
+            "negative" and the cube [-1, 1]^3.
+        units: As for Field.
+        weights: Names or patterns of the decoder's own parameters to edit together with the code; None edits the code
+            alone.
     """
     if latent.ndim != 1:
         raise ValueError(f"latent must be one code of shape (L,), but has shape {tuple(latent.shape)}.")
+    level = getattr(decoder, "level", 0.0) if level is None else level
+    side: Literal["negative", "positive"] = getattr(decoder, "inside", "negative") if inside is None else inside
+    bounds = getattr(decoder, "bounds", CUBE) if bounds is None else bounds
+    if weights is not None:
+        if not isinstance(decoder, nn.Module):
+            raise TypeError(f"Only the weights of a torch module can be edited, but the decoder is a {type(decoder)}.")
+        patterns = [weights] if isinstance(weights, str) else list(weights)
+        chosen = ["latent", *(f"decoder.{pattern}" for pattern in patterns)]
+        both = _WithCode(decoder, latent)
+        return Field(both, parameters=chosen, level=level, inside=side, bounds=bounds, units=units)
     module = _frozen_copy(decoder) if isinstance(decoder, nn.Module) else None
 
     def store(theta: Tensor) -> None:
@@ -340,9 +355,21 @@ def decoder_field(
     field = Field.__new__(Field)
     layout = (Parameter("latent", latent.shape, slice(0, latent.numel())),)
     function = _decoded(module if module is not None else decoder)
-    field._setup(function, store, latent.detach(), layout, level, inside, bounds, units)
+    field._setup(function, store, latent.detach(), layout, level, side, bounds, units)
     field.module = module
     return field
+
+
+class _WithCode(nn.Module):
+    """A decoder with its code as one more parameter, which shares the caller's memory."""
+
+    def __init__(self, decoder: nn.Module, latent: Tensor) -> None:
+        super().__init__()
+        self.latent = nn.Parameter(latent.detach(), requires_grad=False)
+        self.decoder = decoder
+
+    def forward(self, points: Tensor) -> Tensor:
+        return self.decoder(points, self.latent)
 
 
 def _decoded(decoder: nn.Module | Callable[[Tensor, Tensor], Tensor]) -> Callable[[Tensor, Tensor], Tensor]:
@@ -353,7 +380,7 @@ def _decoded(decoder: nn.Module | Callable[[Tensor, Tensor], Tensor]) -> Callabl
 
 
 def save_field(field: Field, path: str | PathLike[str]) -> None:
-    """Write the field as safetensors: its weights, and its architecture's name and arguments as text.
+    """Write the field as safetensors: its weights (and code), and its architecture's name and arguments as text.
 
     Any architecture made by `implicit.models.build` can be saved: it states itself in `describe()`.
 
@@ -372,8 +399,7 @@ def save_field(field: Field, path: str | PathLike[str]) -> None:
             f"implicit.models.register), but the field holds a {type(module).__name__}. Save its state_dict yourself."
         )
     state = {name: tensor.detach().cpu().contiguous() for name, tensor in module.state_dict().items()}
-    if any(block.name not in state for block in field.layout):
-        raise TypeError("save_field stores the weights of a module, but this field edits a latent code. Save the code.")
+    # A decoder's field holds its code beside the weights.
     for block in field.layout:
         state[block.name] = field.theta[block.where].view(block.shape).cpu().contiguous()
     header = {
@@ -385,6 +411,8 @@ def save_field(field: Field, path: str | PathLike[str]) -> None:
         "bounds": field.bounds.tolist(),
         "units": [field.units.scale, list(field.units.offset)],
     }
+    if field._raw.__name__ == "decoded":
+        header["latent"] = field.layout[0].name
     # One entry: safetensors writes several in any order, and the same field should give the same bytes.
     metadata = {"field": json.dumps(header)}
     replace_file(path, save({name: tensor.clone() for name, tensor in state.items()}, metadata=metadata))
@@ -430,15 +458,17 @@ def load_field(path: str | PathLike[str], *, device: torch.device | str = "cpu")
         scale, offset = header["units"]
         dtypes = {tensor.dtype for tensor in state.values() if tensor.is_floating_point()}
         module = module.to(device=device, dtype=dtypes.pop() if len(dtypes) == 1 else None)
+        code = state.pop(header["latent"]) if "latent" in header else None
         module.load_state_dict(state)
-        return Field(
-            module,
-            parameters=header["parameters"],
-            level=float(header["level"]),
-            inside=header["inside"],
-            bounds=header["bounds"],
-            units=Units(scale, tuple(offset)),
-        )
+        place: dict[str, Any] = {
+            "level": float(header["level"]),
+            "inside": header["inside"],
+            "bounds": header["bounds"],
+            "units": Units(scale, tuple(offset)),
+        }
+        if code is not None:
+            return decoder_field(module, code.to(device), **place)
+        return Field(module, parameters=header["parameters"], **place)
     except (KeyError, TypeError, RuntimeError, ValueError) as error:
         raise ValueError(f"{fspath(path)} does not fit the architecture that it names: {error}") from error
 

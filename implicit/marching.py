@@ -190,7 +190,7 @@ def _middles(
     middle = grid.place((first + last) / 2).float()
     values = _finite(field.value(middle))
     half_diagonal = 0.5 * grid.cell * (last - first).float().norm(dim=1)
-    near = values.abs() <= steepest.at(middle) * half_diagonal
+    near = values.abs() <= steepest.at(middle, reach=side * grid.cell / 2) * half_diagonal
     at_border = ((first == 0) | (last == torch.tensor(grid.cells, device=index.device))).any(dim=1)
     if bool((out := ~near & at_border & (values < 0)).any()):
         raise _leaves(field, middle[out][0])
@@ -221,22 +221,31 @@ def _node_values(
 
 
 class _Steepest:
-    """A bound on |df/dx| near a point: the largest at the 27 nearest nodes of a coarse grid, with the safety factor."""
+    """A bound on |df/dx| near a point: the largest at the nodes of a coarse grid about it, with the safety factor.
+
+    Over a block the bound is that of all nodes in it and of the next ones: a truncated distance is level at the middle
+    of a large block, and steep where the surface runs through its rim.
+    """
 
     nodes = 24
 
     def __init__(self, field: Field) -> None:
         lines = [torch.linspace(float(a), float(b), self.nodes, device=field.device) for a, b in field.bounds.T]
         lengths = _finite(field.gradient(torch.cartesian_prod(*lines))).norm(dim=1).view(1, 1, *[self.nodes] * 3)
-        self._bound = GRADIENT_SAFETY * torch.nn.functional.max_pool3d(lengths, 3, stride=1, padding=1).view(-1)
+        self._lengths = GRADIENT_SAFETY * lengths
+        self._bounds: dict[int, Tensor] = {}
         self._lower = field.bounds[0]
         self._step = (field.bounds[1] - field.bounds[0]) / (self.nodes - 1)
         self._strides = torch.tensor([self.nodes**2, self.nodes, 1], device=field.device)
 
-    def at(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
-        """The bound near each point."""
+    def at(self, points: Float[Tensor, "n 3"], reach: float = 0.0) -> Float[Tensor, " n"]:
+        """The bound in the cube that reaches so far from each point along each axis, a length."""
+        around = min(self.nodes - 1, 1 + int(np.ceil(reach / float(self._step.min()) - 1e-6)))
+        if around not in self._bounds:
+            pooled = torch.nn.functional.max_pool3d(self._lengths, 2 * around + 1, stride=1, padding=around)
+            self._bounds[around] = pooled.view(-1)
         index = ((points - self._lower) / self._step).round().long().clamp(0, self.nodes - 1)
-        return self._bound[(index * self._strides).sum(dim=1)]
+        return self._bounds[around][(index * self._strides).sum(dim=1)]
 
 
 # In the plane: all at once

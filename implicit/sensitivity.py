@@ -16,7 +16,7 @@ from collections.abc import Iterator
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.func import grad, jvp, vmap
+from torch.func import grad, grad_and_value, jvp, vmap
 
 from implicit.field import CHUNK, Field
 from implicit.plain import is_plain, plain_gradient, plain_gradient_and_slope
@@ -60,6 +60,21 @@ def parameter_gradient(field: Field, points: Float[Tensor, "n d"]) -> Float[Tens
         return vmap(grad(_at_one_point(field)), in_dims=(None, 0))(field.theta, points)
     except (RuntimeError, NotImplementedError) as error:
         return _one_by_one(field, points, error)[0]
+
+
+def value_and_gradients(
+    field: Field, points: Float[Tensor, "n d"]
+) -> tuple[Float[Tensor, " n"], Float[Tensor, "n d"], Float[Tensor, "n p"]]:
+    """f, df/dx and df/dtheta at each point, by one forward and one backward pass where torch can."""
+    if not is_plain(field):
+        both = vmap(grad_and_value(_at_one_point(field), argnums=(0, 1)), in_dims=(None, 0))
+        try:
+            (of_theta, of_x), values = both(field.theta, points)
+            return values, of_x, of_theta
+        except (RuntimeError, NotImplementedError):
+            pass  # some modules refuse vmap; the parts below have a way for those
+    values, gradients = field.value_and_gradient(points)
+    return values, gradients, parameter_gradient(field, points)
 
 
 def normal_displacement(

@@ -62,7 +62,7 @@ def folder(tmp_path_factory):
 
 
 def test_there_is_something_to_run():
-    assert len(PYTHON) == 3
+    assert len(PYTHON) == 5
     assert any(command.startswith("implicit-vs-mesh run") for command in COMMANDS)
 
 

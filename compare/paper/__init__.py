@@ -15,7 +15,16 @@ from compare.paper.request import Finding, Request, write_findings
 __all__ = ["PARTS", "Finding", "Request", "draw_parts"]
 
 # Modules of this package, in the order of the paper.
-PARTS: tuple[str, ...] = ("basis", "geometric", "splitting", "smoothing")
+PARTS: tuple[str, ...] = (
+    "basis",
+    "geometric",
+    "splitting",
+    "semantic",
+    "semantic_basis",
+    "semantic_spheres",
+    "semantic_damping",
+    "smoothing",
+)
 
 
 def draw_parts(request: Request, parts: Sequence[str] = PARTS) -> list[Finding]:

@@ -7,10 +7,13 @@ from typing import Any
 
 from torch import nn
 
+from implicit.models.deepsdf import DeepSdf
+from implicit.models.dualsdf import DualSdf
+from implicit.models.imnet import ImNet, ImNetEncoder
 from implicit.models.mlp import Mlp
 from implicit.models.siren import Siren
 
-__all__ = ["Mlp", "Siren", "build", "register"]
+__all__ = ["DeepSdf", "DualSdf", "ImNet", "ImNetEncoder", "Mlp", "Siren", "build", "register"]
 
 _ARCHITECTURES: dict[str, Callable[..., nn.Module]] = {}
 
@@ -34,5 +37,8 @@ def build(description: dict[str, Any]) -> nn.Module:
     return _ARCHITECTURES[name](**description["arguments"])
 
 
+register("deepsdf", DeepSdf)
+register("dualsdf", DualSdf)
+register("imnet", ImNet)
 register("siren", Siren)
 register("mlp", Mlp)

@@ -7,7 +7,17 @@ import pytest
 import torch
 from skimage.measure import marching_cubes
 
-from implicit import Field, SurfaceError, Volume, extract_mesh, sample_surface, shapes, surface_quadrature
+from implicit import (
+    Field,
+    SurfaceError,
+    Volume,
+    decoder_field,
+    extract_mesh,
+    sample_surface,
+    shapes,
+    surface_quadrature,
+)
+from implicit.families import CHAIRS
 from implicit.functionals import volume_terms
 from implicit.marching import Grid, march, near_surface
 
@@ -135,6 +145,17 @@ def test_blocks_left_out_change_nothing_of_the_surface(name):
     found, mine = march(field, grid)
     assert len(found) == len(whole)
     assert len(mine) == len(faces)
+
+
+@pytest.mark.parametrize("resolution", [64, 96, 128])
+def test_a_truncated_distance_is_extracted_whole(resolution):
+    """Level where |d| > 0.1, so at the middle of most blocks: the legs and the back of a chair were once cut off."""
+    theta = CHAIRS.draw(1)[0]
+    field = decoder_field(lambda x, z: CHAIRS.distance(z, x).clamp(-0.1, 0.1), theta)
+    whole, _ = extract_mesh(CHAIRS.field(theta), resolution)
+    found, _ = extract_mesh(field, resolution)
+    np.testing.assert_allclose([found.min(0), found.max(0)], [whole.min(0), whole.max(0)], atol=1e-9)
+    assert len(found) == len(whole)
 
 
 @pytest.mark.parametrize("resolution", [12, 16, 31, 64, 97])

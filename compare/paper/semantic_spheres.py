@@ -1,0 +1,86 @@
+"""The same intents through DualSDF's own spheres and through boundary sensitivity [appendix A], on the same models.
+
+A user of DualSDF grasps the spheres in the region and moves them; Adam moves the code until they are there. The effect
+of both is measured on the fine shape: how far what was to move has moved, and what else of the family changed.
+"""
+
+from __future__ import annotations
+
+import torch
+
+import implicit
+from compare.paper.family_edits import FamilyEdit, chair_leg, leg_ends, longer_wing, uneven_wings, wing_ends
+from compare.paper.request import Finding, Request
+from compare.spheres import sphere_edit, spheres_near
+from implicit import families
+from implicit.models import DualSdf
+
+PART = "semantic_spheres"
+TOLERANCE = 0.05  # of what was asked, where each stops: of the surface, of the spheres
+
+
+def draw(request: Request) -> list[Finding]:
+    """Edit both ways; the code that comes out is all that differs."""
+    findings = []
+    chairs, airplanes = families.bundled("dualsdf-chairs"), families.bundled("dualsdf-airplanes")
+    edits = (chair_leg(chairs), longer_wing(airplanes), uneven_wings(airplanes))
+    for k, edit in enumerate(edits):
+        request.tell(k, len(edits), edit.name)
+        findings += _both_ways(edit, "leg_length" if edit.model is chairs else "wing_span")
+    return findings
+
+
+def _both_ways(edit: FamilyEdit, parameter: str) -> list[Finding]:
+    ends = leg_ends if parameter == "leg_length" else wing_ends
+    points, ways = edit.points()
+    implicit.semantic_edit(edit.field, points, ways, steps=1)  # torch prepares its transforms at the first call
+    ours = implicit.semantic_edit(edit.field, points, ways, tolerance=TOLERANCE)
+    decoder = edit.model.decoder
+    assert isinstance(decoder, DualSdf)
+    code = edit.model.latents[edit.shape]
+    chosen, sphere_ways = _grasped(decoder, code, points, ways)
+    theirs = sphere_edit(decoder, code, chosen, sphere_ways, tolerance=TOLERANCE)
+    findings = []
+    for name, field, steps, time, status in (
+        ("ours", ours.field, len(ours.history), ours.seconds, ours.status.name),
+        (
+            "spheres",
+            edit.field.with_theta(theirs.code),
+            theirs.steps,
+            theirs.seconds,
+            "REACHED" if theirs.reached else "NOT_REACHED",
+        ),
+    ):
+        label = f"{edit.name}, {name}"
+        before, after = edit.parameters_before(), edit.parameters_after(field)
+        asked = float(ways[0].norm())
+        change = ends(edit.model, field, 96) - ends(edit.model, edit.field, 96)
+        others = max((abs(after[n] - before[n]), n) for n in before if n != parameter)
+        findings += [
+            Finding(PART, f"{label}: seconds", time, note=f"{steps} steps, {status}"),
+            Finding(PART, f"{label}: change of what was grasped, of what was asked", float(change[0]) / asked),
+            Finding(PART, f"{label}: change of its counterparts, of what was asked", float(change[1:].mean()) / asked),
+            Finding(
+                PART,
+                f"{label}: change of {parameter}, of what was asked",
+                (after[parameter] - before[parameter]) / asked,
+            ),
+            Finding(
+                PART,
+                f"{label}: largest change of another parameter, of what was asked",
+                others[0] / asked,
+                note=others[1],
+            ),
+        ]
+    return findings
+
+
+def _grasped(
+    decoder: DualSdf, code: torch.Tensor, points: torch.Tensor, ways: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """The spheres at the points, each to go where the points nearest to it go."""
+    chosen = spheres_near(decoder, code, points)
+    with torch.no_grad():
+        centers = decoder.spheres(code)[1][chosen]
+    nearest = torch.cdist(centers, points).argmin(dim=1)
+    return chosen, ways[nearest]

@@ -1,0 +1,50 @@
+"""A linear layer under weight norm, W = g v / |v| a row, by the names of the published checkpoints.
+
+They were written with torch's older weight norm, whose parameters are weight_g (out, 1) and weight_v (out, in).
+Source: Salimans and Kingma, "Weight normalization", NeurIPS 2016.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+
+class WeightNormLinear(nn.Module):
+    """x W^T + b with W = weight_g weight_v / |weight_v|."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        # The start of nn.Linear, as weight norm gives it.
+        plain = nn.Linear(inputs, outputs)
+        self.bias = nn.Parameter(plain.bias.detach())
+        self.weight_v = nn.Parameter(plain.weight.detach())
+        self.weight_g = nn.Parameter(plain.weight.detach().norm(dim=1, keepdim=True))
+
+    @property
+    def weight(self) -> Tensor:
+        """W (out, in)."""
+        return self.weight_v * (self.weight_g / self.weight_v.norm(dim=1, keepdim=True))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Of rows (..., in)."""
+        return nn.functional.linear(x, self.weight, self.bias)
+
+
+def linear(inputs: int, outputs: int, *, normed: bool) -> nn.Module:
+    """A layer with or without weight norm."""
+    return WeightNormLinear(inputs, outputs) if normed else nn.Linear(inputs, outputs)
+
+
+def with_weight_norm(state: dict[str, Tensor], module: nn.Module) -> dict[str, Tensor]:
+    """The state of the same network without weight norm, in the names of `module`, where some layers have it."""
+    normed = {name for name, part in module.named_modules() if isinstance(part, WeightNormLinear)}
+    result = {}
+    for name, value in state.items():
+        layer, _, kind = name.rpartition(".")
+        if layer in normed and kind == "weight":
+            result[f"{layer}.weight_v"] = value
+            result[f"{layer}.weight_g"] = torch.linalg.vector_norm(value, dim=1, keepdim=True)
+        else:
+            result[name] = value
+    return result
