@@ -21,8 +21,8 @@ from torch import Tensor
 
 from implicit.deformation import DeformationSpace
 from implicit.energies import Energy, NormalTarget
-from implicit.extraction import newton_to_surface
-from implicit.field import Field, SurfaceError
+from implicit.extraction import newton_to_surface, require_on_surface
+from implicit.field import Field
 from implicit.functionals import Functional
 from implicit.guard import Guard, Holding, NotHeldError
 from implicit.offsurface import FieldTarget
@@ -216,7 +216,9 @@ def evolve(
     began = time.perf_counter()
     guard = Guard(field, constraints, holding or Holding(resolution=resolution), always=changing)
     loop = _Loop(field, operation, guard, changing)
-    carried = start.points if track is None else torch.cat([start.points, _on_surface(field, track)])
+    carried = (
+        start.points if track is None else torch.cat([start.points, require_on_surface(field, track, "track points")])
+    )
     own = len(start.points)
     history: list[Row] = []
     status = EditStatus.DONE
@@ -582,16 +584,3 @@ def _is_cheaper_by_products(problem: StepProblem) -> bool:
     if len(energies) != 1 or not isinstance(energies[0], NormalTarget) or space.directions is not None:
         return False
     return len(energies[0].points) < space.size and is_plain(space.field)
-
-
-def _on_surface(field: Field, points: Tensor) -> Tensor:
-    """Points to track, refused where they lie farther from the surface than a hundredth of the bounds."""
-    points = field.require_points(points)
-    placed, arrived = newton_to_surface(field, points, reach=0.02 * field.size)
-    if not bool(arrived.all()):
-        i = int((~arrived).nonzero()[0])
-        raise SurfaceError(
-            f"track points must lie on the surface, but points[{i}] = {points[i].tolist()} is farther than "
-            f"{0.02 * field.size:.3g} from it. Move them there first with project_to_surface."
-        )
-    return placed

@@ -134,3 +134,23 @@ def project_to_surface(
             f"is points[{i}] = {points[i].tolist()}. Start closer to the surface, or raise reach."
         )
     return moved
+
+
+def require_on_surface(field: Field, points: Float[Tensor, "n d"], name: str) -> Float[Tensor, "n d"]:
+    """Points placed on the surface, refused where they lie farther from it than a fiftieth of the field's size.
+
+    Args:
+        name: What the points are, for the error.
+
+    Raises:
+        SurfaceError: A point is off the surface.
+    """
+    points = field.require_points(points)
+    placed, arrived = newton_to_surface(field, points, reach=0.02 * field.size)
+    if not bool(arrived.all()):
+        i = int((~arrived).nonzero()[0])
+        raise SurfaceError(
+            f"{name} must lie on the surface, but points[{i}] = {points[i].tolist()} is farther than "
+            f"{0.02 * field.size:.3g} from it. Move them there first with project_to_surface."
+        )
+    return placed

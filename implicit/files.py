@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import os
-from os import PathLike
+from collections.abc import Mapping
+from os import PathLike, fspath
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 def replace_file(path: str | PathLike[str], content: bytes) -> None:
@@ -19,3 +24,28 @@ def replace_file(path: str | PathLike[str], content: bytes) -> None:
         os.replace(side, target)
     finally:
         side.unlink(missing_ok=True)
+
+
+def write_state(path: str | PathLike[str], tensors: Mapping[str, Tensor], header: Mapping[str, str]) -> None:
+    """Write the state of a training as safetensors."""
+    from safetensors.torch import save
+
+    content = {name: value.detach().cpu().contiguous().clone() for name, value in tensors.items()}
+    replace_file(path, save(content, metadata=dict(header)))
+
+
+def read_state(path: str | PathLike[str]) -> tuple[dict[str, str], dict[str, Tensor]]:
+    """The header and the tensors that write_state wrote.
+
+    Raises:
+        ValueError: The file is missing, cut short or of another kind.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(fspath(path), framework="pt") as file:
+            return file.metadata() or {}, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  no dict
+    except (SafetensorError, OSError) as error:
+        raise ValueError(
+            f"{fspath(path)} is not a whole checkpoint ({error}). Remove it to train from the start."
+        ) from error

@@ -26,17 +26,17 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from os import PathLike, fspath
+from os import PathLike
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Literal
+from typing import Literal
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from implicit.field import CUBE, Bounds, Field, Units
-from implicit.files import replace_file
+from implicit.files import read_state, write_state
 from implicit.models import Mlp, Siren
 from implicit.soap import Soap
 
@@ -316,8 +316,6 @@ class _Run:
         """Write the checkpoint, if one was asked for."""
         if self.path is None:
             return
-        from safetensors.torch import save
-
         state = {f"module.{name}": value for name, value in self.module.state_dict().items()}
         state |= {f"optimiser.{name}": value for name, value in self.optimiser.state.items()}
         state["generator"] = self.generator.get_state()
@@ -327,21 +325,11 @@ class _Run:
             "step": str(self.step),
             "seconds": repr(self.seconds),
         }
-        content = {name: value.detach().cpu().contiguous().clone() for name, value in state.items()}
-        replace_file(self.path, save(content, metadata=header))
+        write_state(self.path, state, header)
 
     def load(self, path: Path) -> None:
         """Go on from a checkpoint."""
-        from safetensors import SafetensorError, safe_open
-
-        try:
-            with safe_open(fspath(path), framework="pt") as file:
-                header: dict[str, Any] = file.metadata() or {}
-                state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  not a dict
-        except (SafetensorError, OSError) as error:
-            raise ValueError(
-                f"{path} is not a whole checkpoint ({error}). Remove it to train from the start."
-            ) from error
+        header, state = read_state(path)
         if header.get("format") != "implicit-training-1" or header.get("fit") != self.fingerprint:
             raise ValueError(
                 f"{path} belongs to another fit: the samples, the network or the options differ. Remove it to train "

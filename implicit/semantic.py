@@ -21,8 +21,8 @@ from torch import Tensor
 from implicit.deformation import DeformationSpace
 from implicit.energies import Energy, NormalTarget
 from implicit.evolve import Edit, Progress, Row, State, StepProblem, evolve
-from implicit.extraction import newton_to_surface
-from implicit.field import Field, SurfaceError
+from implicit.extraction import newton_to_surface, require_on_surface
+from implicit.field import Field
 from implicit.regions import Handle
 from implicit.sampling import farthest_order, sample_surface
 from implicit.sensitivity import BLOCK, value_and_gradients
@@ -139,7 +139,7 @@ def semantic_edit(
     Raises:
         ValueError: Points and displacements do not match, are not finite, no point is to move along its normal, or an
             option is out of range.
-        SurfaceError: A point is farther than a hundredth of the field's size from the surface.
+        SurfaceError: A point is farther than a fiftieth of the field's size from the surface.
     """
     start = _starting_points(field, points, displacements)
     _check_options(steps, stride, damping, trust_region, least_cosine, tolerance)
@@ -191,13 +191,7 @@ def _starting_points(field: Field, points: Tensor, displacements: Tensor) -> Sur
     if not bool(torch.isfinite(displacements).all()):
         i = int((~torch.isfinite(displacements)).any(dim=1).nonzero()[0])
         raise ValueError(f"displacements[{i}] is not finite: {displacements[i].tolist()}. Leave that point out.")
-    placed, arrived = newton_to_surface(field, points, reach=0.01 * field.size)
-    if not bool(arrived.all()):
-        i = int((~arrived).nonzero()[0])
-        raise SurfaceError(
-            f"points must lie on the surface, but points[{i}] = {points[i].tolist()} is farther than "
-            f"{0.01 * field.size:.3g} from it. Move them there first with project_to_surface."
-        )
+    placed = require_on_surface(field, points, "points")
     return SurfaceSample(placed, field.normal(placed), torch.ones_like(placed[:, 0]))
 
 

@@ -9,16 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from os import fspath
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Protocol
+from typing import Protocol
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from implicit.files import replace_file
+from implicit.files import read_state, write_state
 from implicit.soap import Soap
 
 WARM_UP = 50  # steps over which the learning rate rises
@@ -132,8 +131,6 @@ class TrainingRun:
     def _save(self) -> None:
         if self._path is None:
             return
-        from safetensors.torch import save
-
         state = self._tensors() | {"generator": self._generator.get_state()}
         header = {
             "format": FORMAT,
@@ -141,21 +138,11 @@ class TrainingRun:
             "step": str(self.step),
             "seconds": repr(self.seconds),
         }
-        content = {name: value.detach().cpu().contiguous().clone() for name, value in state.items()}
-        replace_file(self._path, save(content, metadata=header))
+        write_state(self._path, state, header)
 
     @torch.no_grad()
     def _load(self, path: Path) -> None:
-        from safetensors import SafetensorError, safe_open
-
-        try:
-            with safe_open(fspath(path), framework="pt") as file:
-                header: dict[str, Any] = file.metadata() or {}
-                state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  not a dict
-        except (SafetensorError, OSError) as error:
-            raise ValueError(
-                f"{path} is not a whole checkpoint ({error}). Remove it to train from the start."
-            ) from error
+        header, state = read_state(path)
         if header.get("format") != FORMAT or header.get("settings") != self._settings:
             raise ValueError(
                 f"{path} belongs to another training: {header.get('settings', 'none of a family')}, wanted "
