@@ -6,7 +6,7 @@ Sensitivity, ICLR 2023, arXiv:2304.12951].
 
 from implicit.basis_function import BasisFunction, basis_function, one_weight_per_layer
 from implicit.checkpoints import load_checkpoint
-from implicit.evolve import Edit, EditStatus
+from implicit.edit import Edit, EditStatus
 from implicit.expressibility import Expressibility, Verdict, expressibility
 from implicit.extraction import extract_mesh, project_to_surface
 from implicit.field import Field, SurfaceError, Units, decoder_field, load_field, save_field

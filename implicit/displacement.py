@@ -16,13 +16,14 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from implicit.deformation import DeformationSpace
+from implicit.edit import Row
 from implicit.energies import Energy, NormalTarget
-from implicit.evolve import Row, State, StepProblem
 from implicit.extraction import newton_to_surface
 from implicit.field import Field
 from implicit.goal import Goal
 from implicit.offsurface import off_surface
 from implicit.sampling import sample_surface
+from implicit.step import State, StepProblem
 from implicit.surface import SurfaceSample
 
 # Where the edit itself chooses the parts: the first part's share of the field's size, the nonlinear share of a step's

@@ -10,26 +10,23 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
-from typing import Any, Protocol
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from implicit.deformation import DeformationSpace
-from implicit.energies import Energy, NormalTarget
+from implicit.edit import Asked, Edit, EditStatus, Progress, Row, reached
+from implicit.energies import NormalTarget
 from implicit.extraction import newton_to_surface, require_on_surface
 from implicit.field import Field
 from implicit.functionals import Functional
 from implicit.guard import Guard, Holding, NotHeldError
-from implicit.offsurface import FieldTarget
-from implicit.plain import is_plain
-from implicit.solve import DENSE_LIMIT, LeastSquares, Solution, SolveStatus
-from implicit.soundness import Soundness
-from implicit.surface import MeshedSample, SurfaceSample
+from implicit.solve import LeastSquares, Solution, SolveStatus
+from implicit.step import Operation, State, StepProblem, assemble, predicted_way
+from implicit.surface import SurfaceSample
 from implicit.topology import Topology, settled_topology
 from implicit.trust import Trust, miss
 
@@ -38,147 +35,6 @@ PRECISION = {torch.float32: 4e-6, torch.float64: 4e-12}
 
 # Corrections after a step whose surface is to settle.
 SETTLINGS = 4
-
-Progress = Callable[[int, int, dict[str, Any]], None]
-Row = dict[str, Any]
-Asked = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
-
-# Of the angle between a point's normal and the edited surface's up to which an error is measured along the former.
-LEAST_COSINE = 0.5
-
-# An edit whose error field has at most this root mean square, over the area that was to move, has reached its target.
-REACHED_SHARE = 0.1
-
-
-class EditStatus(Enum):
-    """How an edit ended; the value is the sentence a user reads."""
-
-    DONE = "All steps were taken."
-    REACHED = "The stopping rule was met before the last step."
-    NOT_REACHED = "All steps were taken, but the prescribed displacement was not reached; see the error field."
-    NOT_FINITE = "Stopped before a step that would not be finite; the field is as it was before that step."
-    SURFACE_LOST = "Stopped before a step after which the surface would vanish or leave the bounds of the field."
-    CONSTRAINT_NOT_HELD = "Stopped before a step after which a constraint could not be restored to its tolerance."
-    STRAY_PIECES = "All steps were taken, but stray pieces of surface have appeared; see the notes."
-    UNSTABLE = "Stopped because the steps grew beyond what a linear prediction holds for; take smaller steps."
-
-
-@dataclass(frozen=True, eq=False)
-class Edit:
-    """An edited field and the evidence of how it came about.
-
-    Attributes:
-        field: The edited field. `field.write_back()` stores it in the module that the edit began from.
-        points: Starting points (I, D) on the unedited surface, with their `normals` and quadrature `weights`.
-        displacement: Of the starting points, to the end (I, D), a length.
-        wanted: Displacement asked for at the starting points (I, D); NaN where nothing was asked.
-        tracked: Where the `track` points of the caller ended (M, D), or None.
-        history: One row a step: energies, constraint values, residuals, step norms, seconds.
-        status: How it ended.
-        seconds: Wall time.
-        asked: From points and normals of the unedited surface (N, D) to what was asked there: the displacement, NaN
-            where nothing was, and the unit normals the points take along. None where only `wanted` is known.
-        before, after: How sound the field was and is, of geometric edits.
-        notes: What has become worse, a sentence each.
-    """
-
-    field: Field
-    points: Float[Tensor, "i d"]
-    normals: Float[Tensor, "i d"]
-    weights: Float[Tensor, " i"]
-    displacement: Float[Tensor, "i d"]
-    wanted: Float[Tensor, "i d"]
-    tracked: Float[Tensor, "m d"] | None
-    history: list[Row]
-    status: EditStatus
-    seconds: float
-    asked: Asked | None = None
-    before: Soundness | None = None
-    after: Soundness | None = None
-    notes: tuple[str, ...] = ()
-
-    def error_field(self, sample: SurfaceSample | None = None) -> Float[Tensor, " n"]:
-        """Achieved minus wanted normal displacement over the largest wanted one [paper, the error fields of fig. 4].
-
-        Achieved is measured on the edited field: each point x is put at its goal g = x + wanted, and projected from
-        there to the edited surface. The signed way e along the edited surface's normal n' is the gap between the two
-        surfaces; along the normal n that x takes along the gap is e / (n . n'), to second order in e. Beyond 60 degrees
-        between the normals, where the goal folds, that line says nothing any more, and e / cos 60 is taken. An edit
-        that was asked for positions alone (a rigid one) has no such normals; there e itself is the error.
-
-        Args:
-            sample: Points of the unedited surface; None takes the starting points. A geometric edit answers for any,
-                so a dense quadrature of the unedited field shows the error between the points that carried the target.
-
-        Returns:
-            A pure number each, positive where the surface is too far out; NaN where nothing was asked.
-
-        Raises:
-            ValueError: Another sample was given, but the edit knows only of its starting points.
-        """
-        points, normals, wanted, along = self.points, self.normals, self.wanted, None
-        if sample is not None:
-            if self.asked is None:
-                raise ValueError("This edit knows what was asked at its starting points only; leave sample out.")
-            points, normals = sample.points, sample.normals
-        if self.asked is not None:
-            wanted, along = self.asked(points, normals)
-        told = torch.isfinite(wanted).all(dim=1)
-        error = torch.full_like(points[:, 0], float("nan"))
-        if not bool(told.any()):
-            return error
-        goal = points[told] + wanted[told]
-        largest = (wanted[told] * normals[told]).sum(dim=1).abs().max()
-        surface, arrived = newton_to_surface(self.field, goal, reach=self.field.size / 2)
-        facing = self.field.normal(surface)
-        way = ((surface - goal) * facing).sum(dim=1)
-        if along is not None:
-            way = way / (along[told] * facing).sum(dim=1).clamp(min=LEAST_COSINE)
-        way = torch.where(arrived, way, torch.full_like(way, float("nan")))
-        error[told] = way / largest.clamp(min=torch.finfo(way.dtype).tiny)
-        return error
-
-
-@dataclass(frozen=True, eq=False)
-class State:
-    """Where an edit stands at the start of a step."""
-
-    field: Field
-    step: int
-    points: Float[Tensor, "i d"]  # the starting points, carried along
-    sample: SurfaceSample | None  # the quadrature of the current surface, where it is measured
-
-
-@dataclass(frozen=True, eq=False)
-class StepProblem:
-    """What one step minimises, over which displacements."""
-
-    space: DeformationSpace
-    energies: Sequence[Energy]
-    damping: float | None = None  # fixed; None lets the loop choose it by the linearity error
-    first_damping: float = 1e-7  # where that choice begins, relative to the trace of the normal matrix
-    least_damping: float = 0.0  # how far it may fall in later steps, in the same unit
-    allowed_miss: float = 0.02  # nonlinear part of the motion that is accepted, relative to the motion
-    # Weights of the starting points by which the surface is brought to where the linear model sends them, see _settled.
-    settle: Float[Tensor, " i"] | None = None
-    probe: Tensor | None = None  # points whose motion decides whether the step is trusted; None: the carried ones
-    # Motion along the surface that the normal motion leaves open, of the carried points (all, tracked ones last).
-    slide: Callable[[Tensor, Tensor], Tensor] | None = None
-    # Brings the carried points, where they were predicted, onto the moved surface; takes and returns what Newton does.
-    place: Callable[..., tuple[Tensor, Tensor]] = newton_to_surface
-    row: Row | None = None  # what the operation adds to the record of the step
-    # The same, of the surface after the step, given what is held and the part of the step that was taken.
-    record: Callable[[Field, MeshedSample, Row, float], Row] | None = None
-
-
-class Operation(Protocol):
-    """What a user asked for, as the loop sees it."""
-
-    def step(self, state: State) -> StepProblem:
-        """The problem of this step."""
-
-    def finished(self, state: State, history: Sequence[Row]) -> bool:
-        """Whether to stop before this step."""
 
 
 def evolve(
@@ -252,7 +108,7 @@ def evolve(
         seconds=time.perf_counter() - began,
         asked=asked,
     )
-    if status in (EditStatus.DONE, EditStatus.REACHED) and not _reached(edit):
+    if status in (EditStatus.DONE, EditStatus.REACHED) and not reached(edit):
         edit = replace(edit, status=EditStatus.NOT_REACHED)
     return edit
 
@@ -263,16 +119,6 @@ def first_solve(
     """Solve the first step of an operation at the damping that its linearity allows, and do not take it."""
     guard = Guard(field, (), Holding(resolution=resolution), always=False)
     return _Loop(field, operation, guard, changing=False).solve(State(field, 0, start.points, None))
-
-
-def _reached(edit: Edit) -> bool:
-    """Whether the root mean square of the error field is at most REACHED_SHARE, where a displacement was asked for."""
-    error = edit.error_field()
-    asked = torch.isfinite(edit.wanted).all(dim=1)
-    moved = asked & (edit.wanted.norm(dim=1) > 0)
-    if not bool(moved.any()):
-        return True
-    return bool((error[asked] * edit.weights[asked].sqrt()).norm() <= REACHED_SHARE * edit.weights[moved].sum().sqrt())
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,7 +150,7 @@ class _Loop:
     def solve(self, state: State) -> tuple[LeastSquares, Solution] | EditStatus:
         """A step's least squares, at the damping that its linearity allows; it is not taken."""
         problem = self._operation.step(state)
-        system = _assemble(problem)
+        system = assemble(problem)
         trial = self._trial(state, problem, system, None, state.points)
         return trial if isinstance(trial, EditStatus) else (system, trial.solution)
 
@@ -313,7 +159,7 @@ class _Loop:
         field, guard = state.field, self._guard
         problem = self._operation.step(state)
         space = problem.space
-        system = _assemble(problem)
+        system = assemble(problem)
         fixed = guard.rows(field, space) if guard.constraints else None
         if fixed is not None and guard.holding.enforce == "penalty":
             system.add(guard.charge(*fixed))
@@ -341,7 +187,7 @@ class _Loop:
             moved = field.with_theta(field.theta + space.split(x)[0])
             if guard.hard or problem.probe is not None or problem.settle is not None:
                 if problem.settle is None:
-                    way = _way(problem, x, carried)
+                    way = predicted_way(problem, x, carried)
                 arrived_at, arrived = newton_to_surface(moved, carried + way, reach=trial.reach)
         except NotHeldError:
             return EditStatus.CONSTRAINT_NOT_HELD
@@ -469,7 +315,7 @@ class _Loop:
         if not moved.require_finite(moved.theta):
             return EditStatus.NOT_FINITE, math.inf
         points = _probed(problem, carried)
-        way = _way(problem, x, points)
+        way = predicted_way(problem, x, points)
         # A point may have to go as far again as it was predicted to; a cell more allows for small steps.
         reach = 2 * float(way.norm(dim=1).max()) + 2 * field.size / self._guard.holding.resolution
         try:
@@ -525,7 +371,7 @@ def _settled(problem: StepProblem, trial: _Trial, points: Tensor) -> Tensor:
         if not size < 0.25 * left:
             break
         left = size
-        step = _assemble(StepProblem(DeformationSpace(field), [NormalTarget(at, gap, problem.settle)])).solve()
+        step = assemble(StepProblem(DeformationSpace(field), [NormalTarget(at, gap, problem.settle)])).solve()
         moved = field.with_theta(field.theta + step.x)
         arrived_at, arrived = newton_to_surface(moved, goal, reach=trial.reach)
         if not bool(arrived.all()):
@@ -539,48 +385,6 @@ def _probed(problem: StepProblem, carried: Tensor) -> Tensor:
     return carried if problem.probe is None else problem.probe
 
 
-def _way(problem: StepProblem, x: Tensor, points: Tensor) -> Tensor:
-    """Predicted motion of points."""
-    way = problem.space.displacement(points, x)
-    if problem.slide is not None:
-        way = way + problem.slide(points, problem.space.field.normal(points))
-    return way
-
-
 def _nearest(surface: Tensor, points: Tensor) -> Tensor:
     """The nearest of some surface points to each point."""
     return surface[torch.cat([torch.cdist(part, surface).argmin(dim=1) for part in points.split(1000)])]
-
-
-def _assemble(problem: StepProblem) -> LeastSquares:
-    """The step's least squares: its rows, or their products where these cost less or the rows would not fit."""
-    space, energies = problem.space, problem.energies
-    if space.size <= DENSE_LIMIT and not _is_cheaper_by_products(problem):
-        system = LeastSquares(space.size, space.field.theta)
-        for energy in energies:
-            for rows in energy.rows(space):
-                system.add(rows)
-        return system
-    # A sketch of the spectrum costs as many products as it has columns, each a forward and a backward pass: here
-    # plain conjugate gradients are through with less. Each step sees what the last one missed, so 1e-4 is enough.
-    system = LeastSquares(space.size, space.field.theta, rank=0, tolerance=1e-4)
-    for energy in energies:
-        if not isinstance(energy, (NormalTarget, FieldTarget)):
-            raise ValueError(
-                f"With {space.size} unknowns (more than {DENSE_LIMIT}) only targets along the normal and of the field "
-                f"can be solved for, but the step has a {type(energy).__name__} energy. Edit fewer parameters "
-                '(Field(parameters=...)), or smooth with method="explicit".'
-            )
-        system.add_operator(energy.operator(space))
-    return system
-
-
-def _is_cheaper_by_products(problem: StepProblem) -> bool:
-    """Whether there is one target along the normal, at fewer points than unknowns, of a plain network.
-
-    The products of its rows with each other then come from those of the layers (implicit.plain).
-    """
-    space, energies = problem.space, problem.energies
-    if len(energies) != 1 or not isinstance(energies[0], NormalTarget) or space.directions is not None:
-        return False
-    return len(energies[0].points) < space.size and is_plain(space.field)

@@ -19,7 +19,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.displacement import OFF_SURFACE_STRENGTH, Displacement, Splitting
-from implicit.evolve import REACHED_SHARE, EditStatus, first_solve
+from implicit.edit import REACHED_SHARE, EditStatus
+from implicit.evolve import first_solve
 from implicit.field import Field
 from implicit.goal import Goal, Rest, checked_handles
 from implicit.regions import Handle

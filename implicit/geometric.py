@@ -14,7 +14,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.displacement import MOST_PARTS, OFF_SURFACE_STRENGTH, Displacement, Splitting
-from implicit.evolve import Edit, EditStatus, Progress, evolve
+from implicit.edit import Edit, EditStatus, Progress
+from implicit.evolve import evolve
 from implicit.extraction import SurfaceError
 from implicit.field import Field
 from implicit.functionals import Functional

@@ -17,12 +17,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.deformation import DeformationSpace
+from implicit.edit import Edit, Progress, Row
 from implicit.energies import Killing, VectorTarget
-from implicit.evolve import Edit, Progress, Row, State, StepProblem, evolve
+from implicit.evolve import evolve
 from implicit.field import Field
 from implicit.functionals import Functional
 from implicit.regions import Handle
 from implicit.sampling import sample_surface
+from implicit.step import State, StepProblem
 from implicit.surface import SurfaceSample
 from implicit.tangential import CosineFeatures, TangentialModel
 

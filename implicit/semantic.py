@@ -19,14 +19,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.deformation import DeformationSpace
+from implicit.edit import Edit, Progress, Row
 from implicit.energies import Energy, NormalTarget
-from implicit.evolve import Edit, Progress, Row, State, StepProblem, evolve
+from implicit.evolve import evolve
 from implicit.extraction import newton_to_surface, require_on_surface
 from implicit.field import Field
 from implicit.regions import Handle
 from implicit.sampling import farthest_order, sample_surface
 from implicit.sensitivity import BLOCK, value_and_gradients
 from implicit.solve import Rows
+from implicit.step import State, StepProblem
 from implicit.surface import SurfaceSample
 
 

@@ -23,8 +23,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.deformation import DeformationSpace
+from implicit.edit import Edit, Progress, Row
 from implicit.energies import Energy, NormalTarget, Smoothness
-from implicit.evolve import Edit, Progress, Row, State, StepProblem, evolve
+from implicit.evolve import evolve
 from implicit.field import Field
 from implicit.flows import Flow, MeanCurvature
 from implicit.functionals import Functional, Volume
@@ -33,6 +34,7 @@ from implicit.offsurface import off_surface
 from implicit.regions import Region
 from implicit.sampling import sample_surface, thinned
 from implicit.sensitivity import parameter_gradient
+from implicit.step import State, StepProblem
 from implicit.surface import MeshedSample, SurfaceSample
 
 # Time of an implicit step in units of the area, where none is given: 86 of them take four fifths of a bunny's volume.

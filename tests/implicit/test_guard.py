@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from implicit import Area, Holding, Siren, SurfaceIntegral, Volume, VolumeIntegral, shapes, smooth, surface_quadrature
-from implicit.evolve import EditStatus
+from implicit.edit import EditStatus
 
 COARSE = {"steps": 3, "step_size": 1e-3, "points": 300, "resolution": 24}
 

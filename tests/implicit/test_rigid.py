@@ -14,7 +14,7 @@ from implicit import (
     shapes,
     surface_quadrature,
 )
-from implicit.evolve import EditStatus
+from implicit.edit import EditStatus
 from implicit.tangential import CosineFeatures
 
 HEAD = HalfSpace((0, 0.5, 0), (0, 1, 0))
