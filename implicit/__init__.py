@@ -22,6 +22,7 @@ from implicit.rigid import rigid_edit
 from implicit.sampling import sample_surface, transport
 from implicit.semantic import CodePrior, prescribe, semantic_edit
 from implicit.sensitivity import adjoint, basis, normal_displacement
+from implicit.slide import ConstantNormals, NearIsometric
 from implicit.smoothing import Until, explicit_step_limit, smooth
 from implicit.soundness import Soundness, field_soundness
 from implicit.surface import SurfaceSample, surface_quadrature
@@ -35,6 +36,7 @@ __all__ = [
     "Bending",
     "Box",
     "CodePrior",
+    "ConstantNormals",
     "Edit",
     "EditStatus",
     "Expressibility",
@@ -46,6 +48,7 @@ __all__ = [
     "Holding",
     "Integral",
     "MeanCurvature",
+    "NearIsometric",
     "NearPoints",
     "Offset",
     "Region",

@@ -107,12 +107,17 @@ class Killing:
         bending: Weight of the mixed part, tangent with normal: it charges the turning of the normal against
             the turning of the surface, and so resists bending. 1 is the paper's ambient energy.
         thickness: Weight of the normal part, stretch across the surface. 1 is the paper's ambient energy.
+        stretch: Weight of the tangential part. With 0 here and for the thickness the bending is left alone. A space
+            without tangential part then charges the turning of the surface's normals by the field alone: of a
+            distance field 2 |grad_surface u|^2. Rigid motions cost nothing only where the space can slide the points
+            along.
     """
 
     points: Float[Tensor, "n d"]
     weights: Float[Tensor, " n"]
     bending: float = 1.0
     thickness: float = 1.0
+    stretch: float = 1.0
 
     def rows(self, space: DeformationSpace) -> Iterator[Rows]:
         d = self.points.shape[1]
@@ -127,7 +132,7 @@ class Killing:
 
     def _share(self, a: int, b: int, normal: int) -> float:
         if b < normal:
-            return 1.0
+            return self.stretch
         return self.bending if a < normal else self.thickness
 
 
