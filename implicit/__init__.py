@@ -26,6 +26,7 @@ from implicit.slide import ConstantNormals, NearIsometric
 from implicit.smoothing import Until, explicit_step_limit, smooth
 from implicit.soundness import Soundness, field_soundness
 from implicit.surface import SurfaceSample, surface_quadrature
+from implicit.tangential_network import TrainedStep, trained_rigid_step
 from implicit.topology import Topology, mesh_topology, surface_topology
 
 __all__ = [
@@ -60,6 +61,7 @@ __all__ = [
     "SurfaceModes",
     "SurfaceSample",
     "Topology",
+    "TrainedStep",
     "Training",
     "Units",
     "Until",
@@ -93,5 +95,6 @@ __all__ = [
     "surface_modes",
     "surface_quadrature",
     "surface_topology",
+    "trained_rigid_step",
     "transport",
 ]

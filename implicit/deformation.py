@@ -176,7 +176,7 @@ class DeformationSpace:
         start = 0
         last = self.field.dimension - 1
         entries = list(shares)
-        roots = torch.tensor([shares[entry] ** 0.5 for entry in entries]).to(self.field.theta)
+        roots = torch.tensor([shares[entry] ** 0.5 for entry in entries], dtype=torch.float64).to(self.field.theta)
         # A slope of the speed shows only in the entry of its axis with the normal.
         used = [0, *(1 + a for a in range(last + 1) if (a, last) in shares)]
         for part in row_blocks(points, (len(entries) + 4) * self.size):

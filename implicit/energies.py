@@ -123,14 +123,15 @@ class Killing:
         d = self.points.shape[1]
         entries = [(a, b) for a in range(d) for b in range(a, d)]
         # Off the diagonal each entry stands twice in the matrix, so it counts twice.
-        shares = {(a, b): (1.0 if a == b else 2.0) * self._share(a, b, d - 1) for a, b in entries}
+        shares = {(a, b): (1.0 if a == b else 2.0) * self.share(a, b, d - 1) for a, b in entries}
         used = {entry: share for entry, share in shares.items() if share > 0}
         for where, turned, rest in space.strain_rows(self.points, used):
             for rows, first in ((turned, 0), (rest, space.parameters)):
                 weights = self.weights[where].repeat(len(rows))
                 yield Rows(rows.flatten(0, 1), torch.zeros_like(weights), weights, first)
 
-    def _share(self, a: int, b: int, normal: int) -> float:
+    def share(self, a: int, b: int, normal: int) -> float:
+        """Weight of the entry (a, b), a <= b, of J + J^T in the surface's axes, of which `normal` is the last."""
         if b < normal:
             return self.stretch
         return self.bending if a < normal else self.thickness
