@@ -65,6 +65,25 @@ def test_training_nears_the_least_squares_and_moves_the_handles(wobbly, sample):
     assert float((moved - wanted).norm(dim=1).square().mean().sqrt()) < 0.1 * float(wanted[0].norm())
 
 
+def test_a_tenth_of_the_motion_is_trained_as_well(wobbly, sample):
+    """All is linear in the handles' motion, and what is trained does not depend on its size."""
+    features = CosineFeatures(wobbly, waves=10)
+    tenth = [HANDLES[0], Handle(HANDLES[1].region, (0.0, 0.003, 0.005))]
+    whole, part = (
+        trained_rigid_step(wobbly, handles, points=sample, tangential=features, iterations=20)
+        for handles in (HANDLES, tenth)
+    )
+    assert part.energy == pytest.approx(whole.energy / 100, rel=1e-2)
+    assert part.losses[-1] == pytest.approx(whole.losses[-1] / 100, rel=1e-2)
+
+
+def test_anchors_alone_need_no_motion(wobbly, sample):
+    handles = [Handle(HANDLES[0].region, (0.0, 0.0, 0.0))]
+    step = trained_rigid_step(wobbly, handles, points=sample, tangential=CosineFeatures(wobbly, waves=5), iterations=2)
+    assert step.energy < 1e-20
+    assert float(step.displacement(sample.points).norm(dim=1).max()) < 1e-9
+
+
 def test_one_seed_gives_one_step(wobbly, sample):
     features = CosineFeatures(wobbly, waves=10)
     steps = [
