@@ -26,7 +26,7 @@ from implicit.slide import ConstantNormals, NearIsometric
 from implicit.smoothing import Until, explicit_step_limit, smooth
 from implicit.soundness import Soundness, field_soundness
 from implicit.surface import SurfaceSample, surface_quadrature
-from implicit.tangential_network import TrainedStep, trained_rigid_step
+from implicit.tangential_network import LearnedFeatures, TrainedStep, trained_rigid_step
 from implicit.topology import Topology, mesh_topology, surface_topology
 
 __all__ = [
@@ -48,6 +48,7 @@ __all__ = [
     "Handle",
     "Holding",
     "Integral",
+    "LearnedFeatures",
     "MeanCurvature",
     "NearIsometric",
     "NearPoints",

@@ -68,7 +68,7 @@ class TrainedStep:
 
     field: Field
     d_theta: Float[Tensor, " p"]
-    network: nn.Module
+    network: Siren
     energy: float
     strain: float
     linear_energy: float
@@ -173,6 +173,39 @@ def trained_rigid_step(
     )
 
 
+class LearnedFeatures:
+    """1, the coordinates, and the last hidden layer of a trained network, as a basis for rigid_edit(tangential=...).
+
+    The network's own field is among those that they span, so the least squares over them is at least as good.
+
+    Args:
+        network: Of a TrainedStep.
+    """
+
+    def __init__(self, network: Siren) -> None:
+        last = network.layers[-1]
+        assert isinstance(last, nn.Linear)
+        self._network, self._count = network, 4 + last.in_features
+
+    @property
+    def count(self) -> int:
+        return self._count
+
+    def values(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n k"]:
+        with torch.no_grad():
+            return self._functions(points)
+
+    def slopes(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 k"]:
+        with torch.no_grad():
+            return value_and_slope(self._functions, points)[1].transpose(1, 2)
+
+    def _functions(self, points: Tensor) -> Tensor:
+        h = points
+        for number, layer in enumerate(self._network.layers[:-1]):
+            h = self._network.activate(number, layer(h))[0]
+        return torch.cat([torch.ones_like(points[:, :1]), points, h], dim=1)
+
+
 @dataclass(frozen=True, eq=False)
 class StepEnergies:
     """E_K and E_C of one step for any tangential motion given with its slope; they can be differentiated."""
@@ -236,12 +269,12 @@ def vector_siren(width: int, depth: int, seed: int) -> Siren:
 
 
 def value_and_slope(
-    network: nn.Module, points: Float[Tensor, "n 3"]
-) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3 3"]]:
+    function: Callable[[Tensor], Tensor], points: Float[Tensor, "n 3"]
+) -> tuple[Float[Tensor, "n k"], Float[Tensor, "n k 3"]]:
     """T and dT_i/dx_j at the points, by one forward derivative along each axis."""
 
     def along(axis: Tensor) -> tuple[Tensor, Tensor]:
-        return jvp(network, (points,), (axis.expand_as(points),))  # type: ignore[return-value]
+        return jvp(function, (points,), (axis.expand_as(points),))  # type: ignore[return-value]
 
     values, slopes = vmap(along)(torch.eye(3, dtype=points.dtype, device=points.device))
     return values[0], slopes.permute(1, 2, 0)

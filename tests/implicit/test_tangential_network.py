@@ -7,7 +7,7 @@ from implicit import HalfSpace, Handle, rigid_edit, sample_surface, trained_rigi
 from implicit.deformation import DeformationSpace
 from implicit.energies import Killing, VectorTarget, total_energy
 from implicit.tangential import CosineFeatures
-from implicit.tangential_network import StepEnergies, TrainingStatus, value_and_slope, vector_siren
+from implicit.tangential_network import LearnedFeatures, StepEnergies, TrainingStatus, value_and_slope, vector_siren
 
 HANDLES = [
     Handle(HalfSpace((0, 0, -0.3), (0, 0, -1)), (0.0, 0, 0)),
@@ -101,6 +101,24 @@ def test_the_linear_energy_is_that_of_the_first_step_of_a_rigid_edit(wobbly, sam
     edit = rigid_edit(wobbly, handles, points=sample, tangential=features)
     assert edit.history[0]["solves"] == 1
     assert edit.history[0]["objective"] == pytest.approx(step.linear_energy, rel=1e-6)
+
+
+def test_the_least_squares_over_the_trained_features_is_at_least_as_good_as_the_training(wobbly, sample):
+    handles = [HANDLES[0], Handle(HANDLES[1].region, (0.0, 0.0003, 0.0005))]
+    features = CosineFeatures(wobbly, waves=5)
+    step = trained_rigid_step(wobbly, handles, points=sample, tangential=features, iterations=60)
+    edit = rigid_edit(wobbly, handles, points=sample, tangential=LearnedFeatures(step.network))
+    assert edit.history[0]["objective"] < step.energy
+
+
+def test_slopes_of_the_learned_features_match_differences(sample):
+    features = LearnedFeatures(vector_siren(8, 2, seed=0).to(torch.float64))
+    points, step = sample.points[:7], 1e-6
+    assert features.values(points).shape == (7, features.count)
+    for axis in range(3):
+        way = step * torch.eye(3, dtype=torch.float64)[axis]
+        measured = (features.values(points + way) - features.values(points - way)) / (2 * step)
+        torch.testing.assert_close(features.slopes(points)[:, axis], measured, rtol=1e-6, atol=1e-7)
 
 
 def test_a_training_without_iterations_is_refused(wobbly):
