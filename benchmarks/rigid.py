@@ -171,13 +171,13 @@ def print_points(names: list[str], counts: list[int]) -> None:
 
 
 def print_training(names: list[str], points: int, counts: list[int]) -> None:
-    print(f"| shape, {points} points | iterations | E_K + alpha E_C / linear | E_K / linear | seconds / linear |")
+    print(f"| shape, {points} points | iterations | E_K + alpha E_C / linear | membrane / mesh's | seconds / linear |")
     print("|---|---|---|---|---|")
     for name in names:
         scene = Scene(name)
         for iterations in counts:
             s = scene.trained(points, iterations)
-            ratios = f"{s.energy / s.linear_energy:.2f} | {s.strain / s.linear_strain:.2f}"
+            ratios = f"{s.energy / s.linear_energy:.2f} | {scene.ratio(s.displacement(scene.track).numpy())[2]:.2f}"
             seconds = f"{s.seconds:.1f} / {s.linear_seconds:.1f} = {s.seconds / s.linear_seconds:.1f}"
             print(f"| {name} | {iterations} | {ratios} | {seconds} |", flush=True)
 

@@ -105,7 +105,8 @@ def trained_rigid_step(
 
     Args:
         field: A field in 3D. It is not changed: the step is d_theta of the result.
-        handles, alpha, bending, thickness, points, seed: See rigid_edit. The seed is that of the network too.
+        handles, alpha, bending, thickness, points, seed: See rigid_edit. The seed is that of the network too. Four
+            numbers a point and parameter are kept throughout.
         iterations: Of Adam. The energy still falls, slowly, after thousands.
         width, depth: Of the network's hidden layers.
         tangential: Basis of the least squares beside it; None takes CosineFeatures(field).

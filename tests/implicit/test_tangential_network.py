@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from implicit import HalfSpace, Handle, rigid_edit, sample_surface, trained_rigid_step
+from implicit import HalfSpace, Handle, rigid_edit, sample_surface, tangential_network, trained_rigid_step
 from implicit.deformation import DeformationSpace
 from implicit.energies import Killing, VectorTarget, total_energy
 from implicit.tangential import CosineFeatures
@@ -119,6 +119,26 @@ def test_slopes_of_the_learned_features_match_differences(sample):
         way = step * torch.eye(3, dtype=torch.float64)[axis]
         measured = (features.values(points + way) - features.values(points - way)) / (2 * step)
         torch.testing.assert_close(features.slopes(points)[:, axis], measured, rtol=1e-6, atol=1e-7)
+
+
+def test_a_training_that_blows_up_says_so_and_keeps_the_last_finite_weights(wobbly, sample, monkeypatch):
+    """Adam's first step is as long as its rate: so long that the energy overflows, and the start is what is left."""
+    monkeypatch.setattr(tangential_network, "NETWORK_RATE", 1e30)
+    features = CosineFeatures(wobbly, waves=5)
+    step = trained_rigid_step(wobbly, HANDLES, points=sample, tangential=features, iterations=5)
+    assert step.status is TrainingStatus.NOT_FINITE
+    assert len(step.losses) == 1
+    assert step.energy == pytest.approx(step.losses[0], rel=1e-5)
+    assert not step.d_theta.any()
+
+
+def test_progress_is_told_of_every_iteration(wobbly, sample):
+    told = []
+    features = CosineFeatures(wobbly, waves=5)
+    trained_rigid_step(
+        wobbly, HANDLES, points=sample, tangential=features, iterations=3, progress=lambda *news: told.append(news[:2])
+    )
+    assert told == [(1, 3), (2, 3), (3, 3)]
 
 
 def test_a_training_without_iterations_is_refused(wobbly):
