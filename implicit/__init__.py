@@ -22,9 +22,11 @@ from implicit.rigid import rigid_edit
 from implicit.sampling import sample_surface, transport
 from implicit.semantic import CodePrior, prescribe, semantic_edit
 from implicit.sensitivity import adjoint, basis, normal_displacement
+from implicit.slide import ConstantNormals, NearIsometric
 from implicit.smoothing import Until, explicit_step_limit, smooth
 from implicit.soundness import Soundness, field_soundness
 from implicit.surface import SurfaceSample, surface_quadrature
+from implicit.tangential_network import LearnedFeatures, TrainedStep, trained_rigid_step
 from implicit.topology import Topology, mesh_topology, surface_topology
 
 __all__ = [
@@ -35,6 +37,7 @@ __all__ = [
     "Bending",
     "Box",
     "CodePrior",
+    "ConstantNormals",
     "Edit",
     "EditStatus",
     "Expressibility",
@@ -45,7 +48,9 @@ __all__ = [
     "Handle",
     "Holding",
     "Integral",
+    "LearnedFeatures",
     "MeanCurvature",
+    "NearIsometric",
     "NearPoints",
     "Offset",
     "Region",
@@ -57,6 +62,7 @@ __all__ = [
     "SurfaceModes",
     "SurfaceSample",
     "Topology",
+    "TrainedStep",
     "Training",
     "Units",
     "Until",
@@ -90,5 +96,6 @@ __all__ = [
     "surface_modes",
     "surface_quadrature",
     "surface_topology",
+    "trained_rigid_step",
     "transport",
 ]

@@ -132,7 +132,7 @@ class DeformationSpace:
         start = 0
         for part in row_blocks(points, 2 * self.field.dimension * self.size):
             frame = Frame.at(self.field, part)
-            _, du = _speed_and_slope(self.field, frame)
+            _, du = speed_and_slope(self.field, frame)
             rows = self.reduced(torch.einsum("nai,nip->nap", frame.axes[:, :-1], du))
             if self.size > self.parameters:
                 rows = torch.cat([rows, rows.new_zeros(*rows.shape[:2], self.size - self.parameters)], dim=2)
@@ -176,7 +176,7 @@ class DeformationSpace:
         start = 0
         last = self.field.dimension - 1
         entries = list(shares)
-        roots = torch.tensor([shares[entry] ** 0.5 for entry in entries]).to(self.field.theta)
+        roots = torch.tensor([shares[entry] ** 0.5 for entry in entries], dtype=torch.float64).to(self.field.theta)
         # A slope of the speed shows only in the entry of its axis with the normal.
         used = [0, *(1 + a for a in range(last + 1) if (a, last) in shares)]
         for part in row_blocks(points, (len(entries) + 4) * self.size):
@@ -201,7 +201,7 @@ class DeformationSpace:
                         of_slide[:, e, :, 1 + there] -= n
             turn, of_speed = torch.linalg.qr(roots[:, None] * of_speed[:, :, used], mode="complete")
             of_slide = torch.einsum("nfe,nfij->neij", turn * roots[:, None], of_slide)
-            u, du = _speed_and_slope(self.field, frame)
+            u, du = speed_and_slope(self.field, frame)
             speeds = torch.cat([u[:, None], axes @ du], dim=1)[:, used]
             touched = min(len(entries), len(used))
             rows = torch.empty(touched, len(part), self.size, dtype=part.dtype, device=part.device)
@@ -218,7 +218,7 @@ class DeformationSpace:
             start += len(part)
 
 
-def _speed_and_slope(field: Field, frame: Frame) -> tuple[Float[Tensor, "n p"], Float[Tensor, "n d p"]]:
+def speed_and_slope(field: Field, frame: Frame) -> tuple[Float[Tensor, "n p"], Float[Tensor, "n d p"]]:
     """u = b and du/dx: the quotient rule on -(df/dtheta) / |df/dx|."""
     q, dq = parameter_gradient_and_slope(field, frame.points)
     u = q / -frame.lengths[:, None]

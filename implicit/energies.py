@@ -107,27 +107,33 @@ class Killing:
         bending: Weight of the mixed part, tangent with normal: it charges the turning of the normal against
             the turning of the surface, and so resists bending. 1 is the paper's ambient energy.
         thickness: Weight of the normal part, stretch across the surface. 1 is the paper's ambient energy.
+        stretch: Weight of the tangential part. With 0 here and for the thickness the bending is left alone. A space
+            without tangential part then charges the turning of the surface's normals by the field alone: of a
+            distance field 2 |grad_surface u|^2. Rigid motions cost nothing only where the space can slide the points
+            along.
     """
 
     points: Float[Tensor, "n d"]
     weights: Float[Tensor, " n"]
     bending: float = 1.0
     thickness: float = 1.0
+    stretch: float = 1.0
 
     def rows(self, space: DeformationSpace) -> Iterator[Rows]:
         d = self.points.shape[1]
         entries = [(a, b) for a in range(d) for b in range(a, d)]
         # Off the diagonal each entry stands twice in the matrix, so it counts twice.
-        shares = {(a, b): (1.0 if a == b else 2.0) * self._share(a, b, d - 1) for a, b in entries}
+        shares = {(a, b): (1.0 if a == b else 2.0) * self.share(a, b, d - 1) for a, b in entries}
         used = {entry: share for entry, share in shares.items() if share > 0}
         for where, turned, rest in space.strain_rows(self.points, used):
             for rows, first in ((turned, 0), (rest, space.parameters)):
                 weights = self.weights[where].repeat(len(rows))
                 yield Rows(rows.flatten(0, 1), torch.zeros_like(weights), weights, first)
 
-    def _share(self, a: int, b: int, normal: int) -> float:
+    def share(self, a: int, b: int, normal: int) -> float:
+        """Weight of the entry (a, b), a <= b, of J + J^T in the surface's axes, of which `normal` is the last."""
         if b < normal:
-            return 1.0
+            return self.stretch
         return self.bending if a < normal else self.thickness
 
 

@@ -74,23 +74,16 @@ def rigid_edit(
         ValueError: The field is not 3D, a region misses the surface, or the handles leave a rigid motion free
             (fewer than three points that are not on one line).
     """
-    if field.dimension != 3:
-        raise ValueError(f"rigid_edit needs a field in 3 dimensions, but this one has {field.dimension}.")
-    if steps < 1:
-        raise ValueError(f"steps must be at least 1, but is {steps}.")
-    precise = field.to(torch.float64)
-    if isinstance(points, SurfaceSample):
-        sample = points.to(torch.float64)
-    else:
-        sample = sample_surface(precise, points, "farthest", seed=seed)
-    operation = _Rigid(
-        list(handles),
-        sample,
-        steps,
-        alpha,
-        (bending, thickness),
-        CosineFeatures(precise, seed=seed) if tangential is None else tangential,
-        damping,
+    precise, sample, operation = prepare(
+        field,
+        handles,
+        steps=steps,
+        alpha=alpha,
+        shares=(bending, thickness),
+        tangential=tangential,
+        points=points,
+        damping=damping,
+        seed=seed,
     )
     edit = evolve(
         precise,
@@ -106,7 +99,35 @@ def rigid_edit(
     return replace(edit, field=edit.field.to(field.dtype))
 
 
-class _Rigid:
+def prepare(
+    field: Field,
+    handles: Sequence[Handle],
+    *,
+    steps: int,
+    alpha: float,
+    shares: tuple[float, float],
+    tangential: TangentialModel | None,
+    points: int | SurfaceSample,
+    damping: float | None,
+    seed: int,
+) -> tuple[Field, SurfaceSample, RigidOperation]:
+    """The field in float64, the points that carry the energies, and what each step minimises; see rigid_edit."""
+    if field.dimension != 3:
+        raise ValueError(f"rigid_edit needs a field in 3 dimensions, but this one has {field.dimension}.")
+    if steps < 1:
+        raise ValueError(f"steps must be at least 1, but is {steps}.")
+    precise = field.to(torch.float64)
+    if isinstance(points, SurfaceSample):
+        sample = points.to(torch.float64)
+    else:
+        sample = sample_surface(precise, points, "farthest", seed=seed)
+    model = CosineFeatures(precise, seed=seed) if tangential is None else tangential
+    return precise, sample, RigidOperation(list(handles), sample, steps, alpha, shares, model, damping)
+
+
+class RigidOperation:
+    """What the steps of a rigid edit minimise, for the loop."""
+
     def __init__(
         self,
         handles: list[Handle],
@@ -128,8 +149,12 @@ class _Rigid:
                     f"No point of the surface lies in the region of handles[{k}]. The surface spans "
                     f"{sample.points.amin(dim=0).tolist()} to {sample.points.amax(dim=0).tolist()}; move or widen it."
                 )
-        held = sample.points[self._total > 0]
-        _require_rigid_motion_fixed(held)
+        _require_rigid_motion_fixed(sample.points[self.held])
+
+    @property
+    def held(self) -> Tensor:
+        """Which points the handles hold, (I,) bool."""
+        return self._total > 0
 
     def goal(self, fraction: float) -> Tensor:
         """Where the held points are to be after the fraction; where handles overlap, their weighted mean."""
@@ -141,10 +166,10 @@ class _Rigid:
     def wanted(self) -> Tensor:
         """The whole displacement of the held points; NaN elsewhere."""
         whole = self.goal(1.0) - self._sample.points
-        return torch.where((self._total > 0)[:, None], whole, torch.full_like(whole, float("nan")))
+        return torch.where(self.held[:, None], whole, torch.full_like(whole, float("nan")))
 
     def step(self, state: State) -> StepProblem:
-        held = self._total > 0
+        held = self.held
         target = (self.goal((state.step + 1) / self._steps) - state.points)[held]
         reach = VectorTarget(
             state.points[held], target, self._alpha * (self._sample.weights * self._total.clamp(max=1))[held]

@@ -80,6 +80,31 @@ def test_killing_energy_of_a_growing_sphere_is_that_of_its_parts():
         assert energy == pytest.approx(32 * math.pi, rel=1e-4)
 
 
+def test_bending_alone_of_a_spherical_harmonic_is_its_dirichlet_energy():
+    """u = n_x^2 - n_y^2, of degree 2: 2 int |grad u|^2 = 2 . 6 . 16 pi / 15. A ball grows by its three radii."""
+    field = shapes.ellipsoid((0.5, 0.5, 0.5), parameters=["radii"])
+    sample = surface_quadrature(field, 32)
+    bending = Killing(sample.points, sample.weights, bending=1.0, thickness=0.0, stretch=0.0)
+    x = torch.tensor([1.0, -1.0, 0.0], dtype=torch.float64)
+    assert total_energy([bending], DeformationSpace(field), x) == pytest.approx(64 * math.pi / 5, rel=1e-4)
+    # and an offset turns no normal
+    assert total_energy([bending], DeformationSpace(field), torch.ones_like(x)) < 1e-15
+
+
+def test_bending_alone_charges_a_translation_only_without_the_slide():
+    """u = n . v: 2 int |grad u|^2 = 16 pi / 3 |v|^2 by the field alone; nothing once the points slide along."""
+    field = shapes.sphere(0.5, parameters=["center"])
+    sample = surface_quadrature(field, 32)
+    bending = Killing(sample.points, sample.weights, bending=1.0, thickness=0.0, stretch=0.0)
+    way = torch.tensor([0.3, -0.2, 0.1], dtype=torch.float64)
+    alone = total_energy([bending], DeformationSpace(field), way)
+    assert alone == pytest.approx(16 * math.pi / 3 * float(way @ way), rel=1e-4)
+    slide = torch.zeros(3, 4, dtype=torch.float64)
+    slide[:, 0] = way  # the constant among the features
+    space = DeformationSpace(field, CosineFeatures(field, waves=0))
+    assert total_energy([bending], space, torch.cat([way, slide.flatten()])) < 1e-15
+
+
 def test_smoothness_of_even_motion_is_zero():
     space, x = growing_sphere()
     sample = surface_quadrature(space.field, 16)
