@@ -22,6 +22,7 @@ from compare.case import Case, default_cases
 from compare.operations import wanted_motion
 from compare.scenes import pulled_less
 from compare.subject import Subject, common_mesh
+from meshref.killing import Form
 from meshref.primitives import split_in_four
 
 PART = 0.01  # of the pull of default_cases, itself 15 % of the longest side
@@ -87,11 +88,11 @@ def rigidity(shape: str, subject: Subject, *, points: int = POINTS, part: float 
     # The error is about one over the stiffness, so a tolerance in the logarithm of one is that of the other.
     found = brentq(lambda p: np.log(missed(by_mesh(float(np.exp(p)))) / error), low, high, xtol=SAME_ERROR)
     mesh = by_mesh(float(np.exp(found)))
-    energies = [
-        meshref.killing_energy(V, F, neural, form) / meshref.killing_energy(V, F, mesh, form)
-        for form in ("membrane", "spokes-and-rims")
-    ]
-    return Rigidity(*energies, error, missed(mesh), seconds)
+
+    def over_the_mesh(form: Form) -> float:
+        return meshref.killing_energy(V, F, neural, form) / meshref.killing_energy(V, F, mesh, form)
+
+    return Rigidity(over_the_mesh("membrane"), over_the_mesh("spokes-and-rims"), error, missed(mesh), seconds)
 
 
 def pulled_case(shape: str, subject: Subject, part: float = PART) -> Case:
