@@ -248,6 +248,19 @@ def by_iarap(shape: str = "spot", seconds: float = 120.0) -> None:
     row(f"rigid pull of {shape}, iarap{limit}", spent, ours.seconds, words, good)
 
 
+class Sines(torch.nn.Module):
+    """A layer of sines, its weights drawn so that all layers start with values of like size."""
+
+    def __init__(self, inputs: int, outputs: int, frequency: float = 1.0) -> None:
+        super().__init__()
+        self.linear, self.frequency = torch.nn.Linear(inputs, outputs), frequency
+        bound = (6 / inputs) ** 0.5
+        torch.nn.init.uniform_(self.linear.weight, -bound, bound)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return torch.sin(self.frequency * self.linear(x))
+
+
 def trained_by(
     arap_energy: Callable[..., torch.Tensor],
     field: implicit.Field,
@@ -256,16 +269,17 @@ def trained_by(
     seconds: float,
     judged: Callable[[np.ndarray], tuple[float, float]],
     enough: float,
-    points: int = 500,
-    penalty: float = 1e3,
+    points: int = 150,
+    penalty: float = 100.0,
 ) -> tuple[float, tuple[float, float]]:
-    """Train x + g(x), g an MLP of 3 x 64, on random points; seconds and (energy, handles missed) when it ended.
+    """Train x + g(x), g three layers of 64 sines, on random points; seconds and (energy, handles missed) at the end.
 
-    It ends once the energy is at most `enough` with handles missed by no more than 2 % of the pull.
+    It ends once the energy is at most `enough` with handles missed by no more than 2 % of the pull. Settings are the
+    best of a few tries: layers of tanh in place of sines are left at three times the energy, more points a step cost
+    more than they bring.
     """
     torch.manual_seed(0)
-    layers = [torch.nn.Linear(3, 64), torch.nn.Tanh(), torch.nn.Linear(64, 64), torch.nn.Tanh()]
-    net = torch.nn.Sequential(*layers, torch.nn.Linear(64, 64), torch.nn.Tanh(), torch.nn.Linear(64, 3))
+    net = torch.nn.Sequential(Sines(3, 64, 2.0), Sines(64, 64), Sines(64, 64), torch.nn.Linear(64, 3))
     with torch.no_grad():
         net[-1].weight.mul_(0.01)
         net[-1].bias.zero_()
