@@ -24,6 +24,8 @@ PARTS: tuple[str, ...] = (
     "semantic_spheres",
     "semantic_damping",
     "smoothing",
+    "rigid",
+    "rigid_bends",
 )
 
 

@@ -1,0 +1,162 @@
+"""Rigid editing beside the mesh: handles, results, and where each is strained [paper, section 4.3].
+
+The paper gives one energy for each side. The mesh notebook that its author published sums it over faces without their
+areas, so it grows with the mesh; here it is one of three, of which the tangential one means the same on every mesh.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib import colormaps
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from numpy import ndarray
+
+import meshref
+from compare.case import Case
+from compare.figures import HELD, MOVED, SURFACE, Camera, paint
+from compare.measure import measure, strain
+from compare.operations import Outcome, Wanted, edit_field, edit_mesh, edit_mesh_by_arap, wanted_motion
+from compare.paper.panels import same_frame
+from compare.paper.request import Finding, Request
+from compare.rigidity import mesh_seconds, pulled_case, rigidity
+from compare.scenes import PAPER, rigid_scene
+from compare.subject import Subject
+from compare.views import View
+
+SIDES = {"neural": "neural field", "Killing": "mesh, Killing", "ARAP": "mesh, ARAP"}
+ENERGIES = {
+    "killing_energy": "tangential",
+    "killing_ambient": "ambient",
+    "killing_notebook": "unweighted",
+    "killing_spokes_and_rims": "spokes and rims",
+    "arap": "ARAP",
+}
+MESHES = (3500, 35_000, 140_000)  # vertices for the timings of the mesh side
+CAMERAS = {
+    "spot": Camera(300.0),
+    "cactus": Camera(40.0),
+    "bracket": Camera(40.0),
+    "bunny": Camera(40.0),
+    "bar": Camera(40.0),
+    "armadillo": Camera(150.0),
+}
+DENSITIES = "magma_r"
+PAPER_NOTE = "Not to be compared in size: the paper names neither the form, nor the mesh, nor the unit of length."
+
+
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    """One rigid edit by the neural field and by the two mesh methods."""
+
+    name: str
+    case: Case
+    subject: Subject
+    wanted: Wanted
+    outcomes: Mapping[str, Outcome]
+
+    def density(self, side: str) -> Float[ndarray, " n"]:
+        """Tangential Killing energy per area at each vertex, a pure number."""
+        return 4 * strain(self.subject, self.outcomes[side].displacement) ** 2
+
+    def energies(self, side: str) -> dict[str, Any]:
+        """All numbers of one side, in the user's units."""
+        V, F, D = self.subject.V, self.subject.F, self.outcomes[side].displacement
+        row = measure(self.case, self.subject, self.wanted, self.outcomes[side], strain(self.subject, D))
+        return {**row, "arap": meshref.arap_energy(V, F, V + D) * self.subject.scale**2}
+
+
+def draw(request: Request) -> list[Finding]:
+    """Edit each shape in its ready-made scene, draw it, and measure one small step beside the mesh's."""
+    files = ("bunny.off", "cactus.off", "bar.off", "armadillo.obj")
+    shapes = request.shapes(*files, bundled=("spot", "cactus", "bracket"))
+    shapes = shapes[1:2] if request.quick else shapes
+    scenes, findings = [], []
+    for done, shape in enumerate(shapes):
+        request.tell(done, len(shapes), Path(shape).stem)
+        subject = request.subject(shape)
+        scene = _edited(shape, subject, request)
+        scenes.append(scene)
+        findings += _energies(scene) + _small_step(shape, subject, scene.name, request)
+    request.save(_picture(scenes), "rigid")
+    return findings
+
+
+def _edited(shape: str, subject: Subject, request: Request) -> _Scene:
+    case = rigid_scene(shape, subject, quick=request.quick, seed=request.seed)
+    wanted = wanted_motion(case, subject)
+    outcomes = {
+        "neural": edit_field(case, subject),
+        "Killing": edit_mesh(case, subject, wanted),
+        "ARAP": edit_mesh_by_arap(case, subject, wanted),
+    }
+    path = Path(shape)
+    name = f"{path.stem} ({path.name})" if path.suffix else path.stem
+    return _Scene(name, case, subject, wanted, outcomes)
+
+
+def _energies(scene: _Scene) -> list[Finding]:
+    findings = []
+    for side, words in SIDES.items():
+        row = scene.energies(side)
+        for key, energy in ENERGIES.items():
+            paper, note = None, ""
+            values = PAPER.get(Path(scene.case.shape).stem)
+            if key == "killing_notebook" and values and side != "ARAP":
+                paper, note = values[side != "neural"], PAPER_NOTE
+            findings.append(Finding("rigid", f"{scene.name}, {words}: {energy} energy", row[key], paper, note))
+        missed = f"{scene.name}, {words}: handles missed by, of the pull"
+        findings += [
+            Finding("rigid", missed, row["handle_error_relative"], note=row["status"]),
+            Finding("rigid", f"{scene.name}, {words}: seconds", row["seconds"]),
+        ]
+    return findings
+
+
+def _small_step(shape: str, subject: Subject, name: str, request: Request) -> list[Finding]:
+    found = rigidity(shape, subject, points=400 if request.quick else 2000, seed=request.seed)
+    equal = f"Handles missed by {found.handle_error:.2e} of the pull; on the mesh {found.mesh_handle_error:.2e}."
+    what = f"{name}, one small step, neural over mesh Killing:"
+    findings = [
+        Finding("rigid", f"{what} tangential energy", found.tangential, note=equal),
+        Finding("rigid", f"{what} spokes and rims energy", found.spokes_and_rims, note=equal),
+    ]
+    case = pulled_case(shape, subject)
+    for vertices in MESHES[:1] if request.quick else MESHES:
+        timing = mesh_seconds(case, subject, vertices)
+        note = f"{found.seconds:.2f} s against {timing.seconds:.2f} s by {timing.solver}."
+        words = f"{what} seconds, mesh of {timing.vertices:,} vertices"
+        findings.append(Finding("rigid", words, found.seconds / timing.seconds, note=note))
+    return findings
+
+
+def _picture(scenes: list[_Scene]) -> Figure:
+    figure = Figure(figsize=(8.2, 2.3 * len(scenes)), layout="constrained")
+    grid = figure.subplots(len(scenes), 1 + len(SIDES), squeeze=False)
+    limit = max(float(np.quantile(scene.density(side), 0.98)) for scene in scenes for side in SIDES)
+    for row, scene in zip(grid, scenes, strict=True):
+        camera = CAMERAS.get(Path(scene.case.shape).stem, Camera(30.0))
+        V, F = scene.subject.V, scene.subject.F
+        palette = np.array([SURFACE, *(HELD if handle.holds else MOVED for handle in scene.case.handles)])
+        colours = palette[scene.wanted.handle][F].mean(axis=1)
+        paint(row[0], View(V, F, scene.wanted.handle.astype(float)), colours, camera)
+        row[0].set_title(f"{scene.name}: held blue, moved orange", fontsize=7)
+        for axes, (side, words) in zip(row[1:], SIDES.items(), strict=True):
+            density = scene.density(side)
+            view = View(V + scene.outcomes[side].displacement, F, density)
+            colours = colormaps[DENSITIES](Normalize(0, limit)(density[F].mean(axis=1)))[:, :3]
+            paint(axes, view, colours, camera)
+            energy = scene.energies(side)["killing_energy"] / scene.subject.scale**2
+            axes.set_title(f"{words}: {energy:.3g}", fontsize=7)
+        same_frame(row)
+    bar = figure.colorbar(ScalarMappable(Normalize(0, limit), DENSITIES), ax=grid, shrink=0.6, pad=0.01, extend="max")
+    bar.set_label("tangential Killing energy per area", fontsize=7)
+    bar.ax.tick_params(labelsize=6)
+    return figure

@@ -1,0 +1,159 @@
+"""Large rigid motions in steps: a bar twisted by 135 degrees and a cactus bent by 90, beside ARAP on the mesh.
+
+The handles turn along their path. ARAP, which is not linear, follows the same path from step to step, as each of its
+solves starts from the surface where the last one left it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from matplotlib.figure import Figure
+from numpy import ndarray
+
+import implicit
+import meshref
+from compare.case import Case, HandleSpec
+from compare.figures import HELD, MOVED, SURFACE, Camera, paint
+from compare.operations import Wanted, wanted_motion
+from compare.paper.panels import panel, same_frame, surface_view
+from compare.paper.request import Finding, Request
+from compare.subject import Subject
+from compare.views import View
+
+TWIST, BEND = 135.0, 90.0  # degrees
+STEPS = {"twist": 18, "bend": 12}  # of 7.5 degrees
+END = 0.12  # of the length, at each end, that handles hold
+BAR = (0.3, 1.5, 0.3)  # sides of the bar that is fitted where no folder of meshes has one
+CAMERA = Camera(35.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Bend:
+    """One large motion by the field, with its volume free and held, and by the mesh."""
+
+    what: str
+    subject: Subject
+    wanted: Wanted
+    free: implicit.Edit
+    held: implicit.Edit
+    arap: Float[ndarray, "n 3"]  # where the vertices went
+
+    @property
+    def box(self) -> float:
+        """Longest side of the shape, before."""
+        return float(np.ptp(self.subject.V, axis=0).max())
+
+    def distance(self, edit: implicit.Edit) -> float:
+        """Two-sided Hausdorff distance of the edited surface and the mesh's, over the box."""
+        V, F = implicit.extract_mesh(edit.field, 128)
+        return meshref.hausdorff(V, F, self.arap, self.subject.F) / self.box
+
+    def volume_change(self, edit: implicit.Edit) -> float:
+        """Of the field itself, relative."""
+        before, after = (
+            implicit.integrate(field, implicit.Volume(), 96).value for field in (self.subject.field, edit.field)
+        )
+        return after / before - 1
+
+
+def draw(request: Request) -> list[Finding]:
+    """Twist and bend, draw both results, and measure how far apart they are."""
+    bends = []
+    for done, (what, shape, angle) in enumerate((("twist", _bar(request), TWIST), ("bend", "cactus", BEND))):
+        request.tell(done, 2, what)
+        bends.append(_bent(request, what, shape, angle))
+    request.save(_picture(bends), "rigid_bends")
+    return [finding for bend in bends for finding in _findings(bend)]
+
+
+def turning_handles(subject: Subject, what: str, degrees: float) -> tuple[HandleSpec, ...]:
+    """One end of the longest axis held, the other turned: about that axis, or about one across it, half way up."""
+    V = subject.V
+    low, high = V.min(axis=0), V.max(axis=0)
+    _, wide, along = np.argsort(high - low)
+    axes, middle = np.eye(3), (low + high) / 2
+    margin = END * (high - low)[along] * axes[along]
+    axis = axes[along] if what == "twist" else axes[wide]
+    still: dict[str, Any] = {"kind": "vector", "vector": [0.0, 0.0, 0.0]}
+    turn = {"kind": "rigid", "rotation": (degrees * pi / 180 * axis).tolist(), "center": middle.tolist()}
+    return (
+        HandleSpec({"kind": "halfspace", "point": (low + margin).tolist(), "normal": (-axes[along]).tolist()}, still),
+        HandleSpec({"kind": "halfspace", "point": (high - margin).tolist(), "normal": axes[along].tolist()}, turn),
+    )
+
+
+def arap_along_the_path(subject: Subject, case: Case, steps: int) -> Float[ndarray, "n 3"]:
+    """ARAP with the handles at each part of their path in turn, from where the last part left it."""
+    solver = meshref.ArapSolver(subject.V, subject.F, np.flatnonzero(wanted_motion(case, subject).at))
+    points, normals = torch.from_numpy(subject.V), torch.from_numpy(subject.N)
+    U = subject.V
+    for step in range(1, steps + 1):
+        goal = subject.V.copy()
+        for spec in case.handles:
+            handle = spec.build()
+            inside = handle.weights(points).numpy() > 0.5
+            goal[inside] = handle.position(step / steps, points, normals).numpy()[inside]
+        U = solver.run(goal[solver.handle_vertices], start=U).V
+    return U
+
+
+def _bent(request: Request, what: str, shape: str, degrees: float) -> _Bend:
+    subject = request.subject(shape)
+    steps = 3 if request.quick else STEPS[what]
+    degrees = degrees / 6 if request.quick else degrees
+    case = Case(shape, "rigid", turning_handles(subject, what, degrees), seed=request.seed)
+    handles = [spec.build() for spec in case.handles]
+    options: dict[str, Any] = {"steps": steps, "points": 500 if request.quick else 2000, "seed": request.seed}
+    free = implicit.rigid_edit(subject.field, handles, **options)
+    held = implicit.rigid_edit(subject.field, handles, constraints=(implicit.Volume(),), **options)
+    words = f"{Path(shape).stem}, {what} by {degrees:.3g} degrees in {steps} steps"
+    return _Bend(words, subject, wanted_motion(case, subject), free, held, arap_along_the_path(subject, case, steps))
+
+
+def _bar(request: Request) -> str:
+    found = request.shapes("bar.off")
+    if found:
+        return found[0]
+    V, F = meshref.box(upper=BAR, subdivisions=3)
+    request.folder.mkdir(parents=True, exist_ok=True)
+    path = request.folder / "bar.off"
+    meshref.write_mesh(path, V, F)
+    return str(path)
+
+
+def _findings(bend: _Bend) -> list[Finding]:
+    V, F = bend.subject.V, bend.subject.F
+    status = bend.free.status.value
+    mesh = meshref.volume(bend.arap, F) / meshref.volume(V, F) - 1
+    rows = [
+        ("Hausdorff distance to the mesh's ARAP over the box", bend.distance(bend.free), status),
+        ("the same with the volume held", bend.distance(bend.held), bend.held.status.value),
+        ("volume change, neural", bend.volume_change(bend.free), ""),
+        ("volume change, mesh ARAP", mesh, ""),
+        ("volume change, neural, volume held", bend.volume_change(bend.held), ""),
+    ]
+    return [Finding("rigid_bends", f"{bend.what}: {what}", value, note=note) for what, value, note in rows]
+
+
+def _picture(bends: list[_Bend]) -> Figure:
+    figure = Figure(figsize=(7.2, 2.6 * len(bends)), layout="constrained")
+    grid = figure.subplots(len(bends), 4, squeeze=False)
+    palette = np.array([SURFACE, HELD, MOVED])
+    for row, bend in zip(grid, bends, strict=True):
+        V, F, handle = bend.subject.V, bend.subject.F, bend.wanted.handle
+        colours = palette[handle][F].mean(axis=1)
+        paint(row[0], View(V, F, np.zeros(len(V))), colours, CAMERA)
+        row[0].set_title(bend.what.replace(" by", "\nby"), fontsize=7)
+        panel(row[1], surface_view(bend.free.field), CAMERA, None, "neural field")
+        panel(row[2], surface_view(bend.held.field), CAMERA, None, "neural field,\nvolume held")
+        paint(row[3], View(bend.arap, F, np.zeros(len(V))), colours, CAMERA)
+        row[3].set_title("mesh, ARAP", fontsize=7)
+        same_frame(row)
+    return figure
