@@ -4,6 +4,9 @@ Each step minimises E_K + alpha E_C over the parameters and the coefficients of 
 [paper, section 4.3]: E_K = int |J + J^T|^2 is zero just for infinitesimal rigid motions (Killing fields). The paper
 trains a second network for the tangential part; a linear basis makes each step one least squares.
 
+What the handles ask of the shape as a whole, the rigid motion that fits their goals best, is done first, and exactly,
+where the network is a plain one; the steps have only the rest to do.
+
 All is computed in float64: the damping that suits these systems is below what single precision resolves.
 """
 
@@ -21,8 +24,10 @@ from implicit.edit import Edit, Progress, Row
 from implicit.energies import Killing, VectorTarget
 from implicit.evolve import evolve
 from implicit.field import Field
-from implicit.functionals import Functional
+from implicit.functionals import Area, Functional, Volume
+from implicit.plain import is_plain
 from implicit.regions import Handle
+from implicit.rigid_motion import Placement
 from implicit.sampling import sample_surface
 from implicit.step import State, StepProblem
 from implicit.surface import SurfaceSample
@@ -85,18 +90,39 @@ def rigid_edit(
         damping=damping,
         seed=seed,
     )
+    tracked = None if track is None else precise.require_points(track.to(precise.theta))
+    whole = operation.placement(1.0)
+    if not _can_be_placed(precise, whole, sample, constraints):
+        whole = Placement(torch.eye(3).to(sample.points), torch.zeros(3).to(sample.points))
+    operation.begin_at(whole)
     edit = evolve(
-        precise,
+        precise if bool((whole.at(sample.points) == sample.points).all()) else whole.field(precise),
         operation,
-        sample,
+        whole.sample(sample),
         steps=steps,
         constraints=constraints,
         resolution=resolution,
-        track=None if track is None else track.to(precise.theta),
-        wanted=operation.wanted(),
+        track=None if tracked is None else whole.at(tracked),
+        wanted=operation.wanted() + sample.points - whole.at(sample.points),
         progress=progress,
     )
-    return replace(edit, field=edit.field.to(field.dtype))
+    return replace(
+        edit,
+        field=edit.field.to(field.dtype),
+        points=sample.points,
+        normals=sample.normals,
+        displacement=edit.points + edit.displacement - sample.points,
+        wanted=operation.wanted(),
+    )
+
+
+def _can_be_placed(field: Field, whole: Placement, sample: SurfaceSample, constraints: Sequence[Functional]) -> bool:
+    """Whether the field can first be moved as a whole: no constraint may feel it, and it must stay in its bounds."""
+    if not is_plain(field) or not all(isinstance(constraint, (Volume, Area)) for constraint in constraints):
+        return False
+    moved = whole.at(sample.points)
+    lower, upper = field.bounds + 0.01 * field.size * torch.tensor([[1.0], [-1.0]]).to(field.theta)
+    return bool(((moved > lower) & (moved < upper)).all())
 
 
 def prepare(
@@ -150,6 +176,7 @@ class RigidOperation:
                     f"{sample.points.amin(dim=0).tolist()} to {sample.points.amax(dim=0).tolist()}; move or widen it."
                 )
         _require_rigid_motion_fixed(sample.points[self.held])
+        self._begin: Placement | None = None
 
     @property
     def held(self) -> Tensor:
@@ -163,6 +190,23 @@ class RigidOperation:
             total += weights[:, None] * handle.position(fraction, self._sample.points, self._sample.normals)
         return total / self._total.clamp(min=torch.finfo(total.dtype).tiny)[:, None]
 
+    def placement(self, fraction: float) -> Placement:
+        """The rigid motion that takes the held points nearest to their goals after the fraction."""
+        held = self.held
+        weights = (self._sample.weights * self._total)[held]
+        return Placement.fitting(self._sample.points[held], self.goal(fraction)[held], weights)
+
+    def begin_at(self, whole: Placement) -> None:
+        """Let the loop begin with all points where this motion takes them, so that it has the rest to do alone."""
+        self._begin = whole
+
+    def _path(self, fraction: float) -> Tensor:
+        """Where the held points are to be after the fraction of the way from where the loop began."""
+        goal = self.goal(fraction)
+        if self._begin is None or fraction == 1:
+            return goal
+        return self._begin.at(self.placement(fraction).undone(goal))
+
     def wanted(self) -> Tensor:
         """The whole displacement of the held points; NaN elsewhere."""
         whole = self.goal(1.0) - self._sample.points
@@ -170,7 +214,7 @@ class RigidOperation:
 
     def step(self, state: State) -> StepProblem:
         held = self.held
-        target = (self.goal((state.step + 1) / self._steps) - state.points)[held]
+        target = (self._path((state.step + 1) / self._steps) - state.points)[held]
         reach = VectorTarget(
             state.points[held], target, self._alpha * (self._sample.weights * self._total.clamp(max=1))[held]
         )

@@ -23,13 +23,13 @@ from torch.func import jvp, vmap
 
 from implicit.deformation import Frame, speed_and_slope
 from implicit.energies import Killing, VectorTarget, total_energy
-from implicit.evolve import State
 from implicit.field import Field
 from implicit.models.siren import Siren
 from implicit.regions import Handle
 from implicit.rigid import DAMPING, prepare
 from implicit.sensitivity import normal_displacement
 from implicit.solve import LeastSquares
+from implicit.step import State
 from implicit.surface import SurfaceSample
 from implicit.tangential import TangentialModel
 
