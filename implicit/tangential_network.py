@@ -56,7 +56,7 @@ class TrainedStep:
     """One linear step of a rigid edit by a trained network, beside the least squares on the same points.
 
     Attributes:
-        field: The unedited field.
+        field: The unedited field, in float64 like all that follows.
         d_theta: Add it to field.theta.
         network: T, points (N, 3) to vectors (N, 3); its projection to the tangent plane counts.
         energy, strain: E_K + alpha E_C, and E_K alone, of the trained motion.
