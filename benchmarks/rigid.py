@@ -189,4 +189,5 @@ if __name__ == "__main__":
     parser.add_argument("--iterations", nargs="*", type=int, default=[200, 1000, 5000])
     chosen = parser.parse_args()
     print_points(chosen.shapes, chosen.points)
-    print_training(chosen.shapes[:1], 1000, chosen.iterations)
+    if chosen.iterations:
+        print_training(chosen.shapes[:1], 1000, chosen.iterations)

@@ -53,7 +53,8 @@ class ConstantNormals:
 
     Args:
         least_curvature: Principal curvature k at which the motion is halved, times the field's size: 1 / k becomes
-            k / (k^2 + least^2). Positive.
+            k / (k^2 + least^2). Positive. Of a translation of the bundled cow the default misses 2 % (rms), 1e-3 misses
+            0.01 %, and 0.2 misses 9 %.
 
     Raises:
         ValueError: least_curvature is not positive, or d_theta has another size than theta.

@@ -55,6 +55,20 @@ def test_constant_normals_translate_a_convex_shape_as_a_whole(make):
     torch.testing.assert_close(found, WAY.expand_as(points), rtol=0, atol=1e-8)
 
 
+@pytest.mark.parametrize(
+    ("slide", "error"), [(ConstantNormals(1e-4), 1e-4), (NearIsometric(), 1e-4)], ids=["constant normals", "isometric"]
+)
+def test_a_network_that_translates_its_surface_takes_every_point_along(spot, slide, error):
+    """f(x - v) is the network with the biases of its first layer lowered by W v, to all orders."""
+    layer = spot.module.layers[0]
+    d_theta = torch.zeros_like(spot.theta)
+    (bias,) = (part.where for part in spot.layout if part.name == "layers.0.bias")
+    d_theta[bias] = -(layer.weight.detach() @ WAY)
+    points = on(spot, 100).points
+    missed = (moved(spot, slide, d_theta, points) - WAY).norm(dim=1)
+    assert float(missed.square().mean().sqrt()) < error
+
+
 def test_constant_normals_of_a_turning_ellipsoid_follow_its_support_function():
     """x(n) = M n / sqrt(n . M n) has the normal n; turning by w changes M at the rate [w] M - M [w]."""
     field = Field(Turned(shapes.ellipsoid(RADII.tolist())), parameters=["turn"])
