@@ -217,7 +217,7 @@ def rigid(meshes: str = "../shared/data/meshes", repeats: int = 3) -> None:
             row(name, mesh.seconds, min(f.seconds for f in found), words, found[0].tangential <= 1.02)
 
 
-def by_iarap(shape: str = "spot", seconds: float = 120.0) -> None:
+def by_iarap(shape: str = "spot", seconds: float = 300.0) -> None:
     """A rigid pull by a network that `iarap` trains, until its ARAP energy on the common mesh is no larger than ours.
 
     The package gives the energy of a map of space, at points of the surface; the network, its training and the penalty
@@ -270,7 +270,7 @@ def trained_by(
     judged: Callable[[np.ndarray], tuple[float, float]],
     enough: float,
     points: int = 150,
-    penalty: float = 100.0,
+    penalty: float = 30.0,
 ) -> tuple[float, tuple[float, float]]:
     """Train x + g(x), g three layers of 64 sines, on random points; seconds and (energy, handles missed) at the end.
 
@@ -291,7 +291,8 @@ def trained_by(
     space = Map()
     sample = implicit.sample_surface(field, 20_000, "uniform").points.float()
     held = [(h, h.weights(sample) > 0.5) for h in (spec.build() for spec in case.handles)]  # type: ignore[attr-defined]
-    optimiser = torch.optim.Adam(net.parameters(), lr=2e-3)
+    optimiser = torch.optim.Adam(net.parameters(), lr=5e-3)
+    slower = torch.optim.lr_scheduler.ExponentialLR(optimiser, 0.1 ** (1 / 1500))
     spent, step, found = 0.0, 0, (math.inf, math.inf)
     while spent < seconds:
         start = time.perf_counter()
@@ -303,6 +304,7 @@ def trained_by(
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
+        slower.step()
         spent += time.perf_counter() - start
         step += 1
         if step % 20 == 0:

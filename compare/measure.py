@@ -4,7 +4,7 @@ For a displacement D of the vertices of the common mesh (V, F):
 
     killing_energy            integral of |P (J + J^T) P|^2, area-weighted and tangential, the headline
     killing_ambient           integral of |J + J^T|^2 with the full 3 x 3 Jacobian, charges rotations
-    killing_notebook          the same summed without areas, which grows with the resolution
+    killing_notebook          the same summed without areas, a pure number that grows with the resolution
     killing_spokes_and_rims   with a rotation for each vertex, which also feels bending
     volume_drift, area_drift  (after - before) / before; of the field itself for the neural side
     handle_error              distance of a handle vertex from where it was sent, rms and largest
@@ -69,7 +69,8 @@ def measure(
     moved = V + D
     row: dict[str, Any] = {"method": outcome.method, "status": outcome.status, "complete": outcome.complete}
     for name, form in FORMS.items():
-        row[name] = meshref.killing_energy(V, F, D, form=form) * scale**2
+        unit = 1.0 if form == "notebook" else scale**2
+        row[name] = meshref.killing_energy(V, F, D, form=form) * unit
     before, after = meshref.volume(V, F), _volume(moved, F)
     area_before, area_after = meshref.area(V, F), _area(moved, F)
     row |= {

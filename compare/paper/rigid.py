@@ -49,7 +49,7 @@ CAMERAS = {
     "armadillo": Camera(150.0),
 }
 DENSITIES = "magma_r"
-PAPER_NOTE = "Not to be compared in size: the paper names neither the form, nor the mesh, nor the unit of length."
+PAPER_NOTE = "The paper names neither the form nor the mesh; this is the published notebook's, on our mesh."
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,23 +140,23 @@ def _small_step(shape: str, subject: Subject, name: str, request: Request) -> li
 def _picture(scenes: list[_Scene]) -> Figure:
     figure = Figure(figsize=(8.2, 2.3 * len(scenes)), layout="constrained")
     grid = figure.subplots(len(scenes), 1 + len(SIDES), squeeze=False)
-    limit = max(float(np.quantile(scene.density(side), 0.98)) for scene in scenes for side in SIDES)
     for row, scene in zip(grid, scenes, strict=True):
         camera = CAMERAS.get(Path(scene.case.shape).stem, Camera(30.0))
         V, F = scene.subject.V, scene.subject.F
         palette = np.array([SURFACE, *(HELD if handle.holds else MOVED for handle in scene.case.handles)])
         colours = palette[scene.wanted.handle][F].mean(axis=1)
         paint(row[0], View(V, F, scene.wanted.handle.astype(float)), colours, camera)
-        row[0].set_title(f"{scene.name}: held blue, moved orange", fontsize=7)
+        row[0].set_title(f"{scene.name}\nheld blue, moved orange", fontsize=7)
+        limit = max(float(np.quantile(scene.density(side), 0.98)) for side in SIDES)
         for axes, (side, words) in zip(row[1:], SIDES.items(), strict=True):
             density = scene.density(side)
             view = View(V + scene.outcomes[side].displacement, F, density)
             colours = colormaps[DENSITIES](Normalize(0, limit)(density[F].mean(axis=1)))[:, :3]
             paint(axes, view, colours, camera)
             energy = scene.energies(side)["killing_energy"] / scene.subject.scale**2
-            axes.set_title(f"{words}: {energy:.3g}", fontsize=7)
+            axes.set_title(f"{words}\nenergy {energy:.3g}", fontsize=7)
         same_frame(row)
-    bar = figure.colorbar(ScalarMappable(Normalize(0, limit), DENSITIES), ax=grid, shrink=0.6, pad=0.01, extend="max")
-    bar.set_label("tangential Killing energy per area", fontsize=7)
+    bar = figure.colorbar(ScalarMappable(Normalize(0, 1), DENSITIES), ax=grid, shrink=0.6, pad=0.01, extend="max")
+    bar.set_label("tangential Killing energy per area, over the row's 98 % quantile", fontsize=7)
     bar.ax.tick_params(labelsize=6)
     return figure

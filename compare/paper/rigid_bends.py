@@ -1,6 +1,6 @@
 """Large rigid motions in steps: a bar twisted by 135 degrees and a cactus bent by 90, beside ARAP on the mesh.
 
-The handles turn along their path. ARAP, which is not linear, follows the same path from step to step, as each of its
+The handles turn along their path; a bend sends the end to where an arc as long as the axis ends. ARAP, which is not linear, follows the same path from step to step, as each of its
 solves starts from the surface where the last one left it.
 """
 
@@ -74,15 +74,25 @@ def draw(request: Request) -> list[Finding]:
 
 
 def turning_handles(subject: Subject, what: str, degrees: float) -> tuple[HandleSpec, ...]:
-    """One end of the longest axis held, the other turned: about that axis, or about one across it, half way up."""
-    V = subject.V
-    low, high = V.min(axis=0), V.max(axis=0)
+    """One end of the longest axis held, the other turned about that axis, or bent so that the axis becomes an arc."""
+    low, high = subject.V.min(axis=0), subject.V.max(axis=0)
     _, wide, along = np.argsort(high - low)
-    axes, middle = np.eye(3), (low + high) / 2
+    axes, angle = np.eye(3), degrees * pi / 180
     margin = END * (high - low)[along] * axes[along]
-    axis = axes[along] if what == "twist" else axes[wide]
+    end = (low + high) / 2
+    end[along] = (high - margin)[along]
+    turn: dict[str, Any] = {"kind": "rigid", "center": end.tolist()}
+    if what == "twist":
+        turn |= {"rotation": (angle * axes[along]).tolist()}
+    else:
+        length = (1 - 2 * END) * (high - low)[along]  # of the axis between the handles, which the arc keeps
+        aside = np.cross(axes[wide], axes[along])
+        arrived = length / angle * (np.sin(angle) * axes[along] + (1 - np.cos(angle)) * aside)
+        turn |= {
+            "rotation": (angle * axes[wide]).tolist(),
+            "translation": (arrived - length * axes[along]).tolist(),
+        }
     still: dict[str, Any] = {"kind": "vector", "vector": [0.0, 0.0, 0.0]}
-    turn = {"kind": "rigid", "rotation": (degrees * pi / 180 * axis).tolist(), "center": middle.tolist()}
     return (
         HandleSpec({"kind": "halfspace", "point": (low + margin).tolist(), "normal": (-axes[along]).tolist()}, still),
         HandleSpec({"kind": "halfspace", "point": (high - margin).tolist(), "normal": axes[along].tolist()}, turn),

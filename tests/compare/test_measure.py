@@ -69,6 +69,7 @@ def test_numbers_are_in_the_users_units():
         "volume_after": 3,
         "volume_drift": 0,
         "error_relative": 0,
+        "killing_notebook": 0,  # a sum over faces of |J + J^T|^2, without areas
     }.items():
         assert ten[name] == pytest.approx(one[name] * 10**power, rel=1e-12), name
 
