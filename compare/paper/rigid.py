@@ -157,6 +157,6 @@ def _picture(scenes: list[_Scene]) -> Figure:
             axes.set_title(f"{words}\nenergy {energy:.3g}", fontsize=7)
         same_frame(row)
     bar = figure.colorbar(ScalarMappable(Normalize(0, 1), DENSITIES), ax=grid, shrink=0.6, pad=0.01, extend="max")
-    bar.set_label("tangential Killing energy per area, over the row's 98 % quantile", fontsize=7)
+    bar.set_label("Killing energy per area\n(1: the row's 98 % quantile)", fontsize=7)
     bar.ax.tick_params(labelsize=6)
     return figure

@@ -1,7 +1,7 @@
 """Large rigid motions in steps: a bar twisted by 135 degrees and a cactus bent by 90, beside ARAP on the mesh.
 
-The handles turn along their path; a bend sends the end to where an arc as long as the axis ends. ARAP, which is not linear, follows the same path from step to step, as each of its
-solves starts from the surface where the last one left it.
+The handles turn along their path; a bend sends the end to where an arc as long as the axis ends. ARAP, which is not
+linear, follows the same path from step to step: each of its solves starts where the last one left the surface.
 """
 
 from __future__ import annotations
