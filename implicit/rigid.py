@@ -92,9 +92,10 @@ def rigid_edit(
     )
     tracked = None if track is None else precise.require_points(track.to(precise.theta))
     whole = operation.placement(1.0)
-    if not _can_be_placed(precise, whole, sample, constraints):
+    if _can_be_placed(precise, whole, sample, constraints):
+        operation.begin_at(whole)
+    else:
         whole = Placement(torch.eye(3).to(sample.points), torch.zeros(3).to(sample.points))
-    operation.begin_at(whole)
     edit = evolve(
         precise if bool((whole.at(sample.points) == sample.points).all()) else whole.field(precise),
         operation,

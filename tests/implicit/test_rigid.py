@@ -52,6 +52,14 @@ def test_other_networks_are_moved_step_by_step(wobbly):
     )
 
 
+def test_the_way_is_taken_in_even_steps_where_the_whole_cannot_be_moved_first(wobbly):
+    """A common turn about an axis in three steps: each moves the farthest point by a third of the angle."""
+    turn = RigidMotion(rotation=(0, 0.3, 0))
+    handles = [Handle(HalfSpace((0, 0, side), (0, 0, side)), turn) for side in (-0.3, 0.3)]
+    edit = rigid_edit(wobbly, handles, steps=3, points=300, tangential=CosineFeatures(wobbly, waves=40))
+    assert [row["largest_motion"] for row in edit.history] == pytest.approx([0.05] * 3, rel=0.2)
+
+
 def test_handles_go_where_they_are_told_and_the_anchor_stays(spot, features):
     handles = [Handle(FEET, (0.0, 0, 0)), Handle(HEAD, (0.1, 0.0, 0.0))]
     edit = rigid_edit(spot, handles, points=600, tangential=features, steps=2)
