@@ -43,9 +43,13 @@ class Quadrature:
     def setup(self, resolution):
         torch.set_num_threads(1)
         self.field = shapes.torus(0.7, 0.25)
+        self.sample = implicit.surface_quadrature(self.field, resolution)
 
     def time_quadrature(self, resolution):
         implicit.surface_quadrature(self.field, resolution)
+
+    def time_volume(self, resolution):
+        implicit.Volume().value(self.field, self.sample)
 
     def track_area_error(self, resolution):
         area = 4 * math.pi**2 * 0.7 * 0.25

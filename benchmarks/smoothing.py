@@ -34,27 +34,3 @@ class Smoothing:
 
     track_volume_change.unit = "relative"
     track_most_pieces.unit = "pieces"
-
-
-class Integrals:
-    """The volume of a torus by one evaluation of a quadrature, against its closed form."""
-
-    params = (24, 48, 96)
-    param_names = ("resolution",)
-
-    def setup(self, resolution):
-        torch.set_num_threads(1)
-        self.field = shapes.torus(0.6, 0.25)
-        self.sample = implicit.surface_quadrature(self.field, resolution)
-
-    def time_volume(self, resolution):
-        implicit.Volume().value(self.field, self.sample)
-
-    def track_volume_error(self, resolution):
-        return abs(implicit.Volume().value(self.field, self.sample) / shapes.exact_volume(self.field) - 1)
-
-    def track_area_error(self, resolution):
-        return abs(implicit.Area().value(self.field, self.sample) / shapes.exact_area(self.field) - 1)
-
-    track_volume_error.unit = "relative error"
-    track_area_error.unit = "relative error"

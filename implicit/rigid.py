@@ -93,11 +93,12 @@ def rigid_edit(
     tracked = None if track is None else precise.require_points(track.to(precise.theta))
     whole = operation.placement(1.0)
     if _can_be_placed(precise, whole, sample, constraints):
+        start = whole.field(precise)
         operation.begin_at(whole)
     else:
-        whole = Placement(torch.eye(3).to(sample.points), torch.zeros(3).to(sample.points))
+        start, whole = precise, Placement.none(sample.points)
     edit = evolve(
-        precise if bool((whole.at(sample.points) == sample.points).all()) else whole.field(precise),
+        start,
         operation,
         whole.sample(sample),
         steps=steps,

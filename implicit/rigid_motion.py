@@ -26,6 +26,11 @@ class Placement:
     translation: Float[Tensor, " 3"]
 
     @classmethod
+    def none(cls, like: Tensor) -> Placement:
+        """The motion that leaves all where it is."""
+        return cls(torch.eye(3).to(like), torch.zeros(3).to(like))
+
+    @classmethod
     def fitting(
         cls, start: Float[Tensor, "n 3"], goal: Float[Tensor, "n 3"], weights: Float[Tensor, " n"]
     ) -> Placement:

@@ -72,7 +72,7 @@ def sample_surface(
         return _by_rejection(field, n, resolution, generator)
     if method == "farthest":
         many = sample_surface(field, CANDIDATES * n, resolution=resolution, generator=generator)
-        return _thinned(many, n)
+        return _farthest(many, n)
     nodes = curved_cells(field, resolution)
     if method == "stratified":
         corners = nodes[:, : field.dimension]  # the nodes between them come after
@@ -82,9 +82,7 @@ def sample_surface(
     amount = area * dense  # points in each cell, up to a factor
     total = amount.sum()
     if method == "stratified":
-        strip = torch.rand(n, generator=generator, dtype=torch.float64).to(field.theta)
-        place = (torch.arange(n, device=field.device) + strip) * (total / n)
-        chosen = torch.searchsorted(amount.cumsum(0), place).clamp(max=len(amount) - 1)
+        chosen = _one_a_strip(amount, n, generator)
     else:
         chosen = torch.multinomial(amount.double().cpu(), n, replacement=True, generator=generator).to(field.device)
     points = torch.empty(n, field.dimension, dtype=field.dtype, device=field.device)
@@ -126,7 +124,7 @@ def transport(field: Field, sample: SurfaceSample, displacement: Float[Tensor, "
     return replace(sample, points=points, normals=field.normal(points))
 
 
-def _thinned(sample: SurfaceSample, n: int) -> SurfaceSample:
+def _farthest(sample: SurfaceSample, n: int) -> SurfaceSample:
     """n of the points by farthest-point selection, each with the weights of those nearest to it."""
     order = farthest_order(sample.points, n)
     points = sample.points[order]
@@ -157,12 +155,15 @@ def thinned(field: Field, sample: SurfaceSample, n: int, *, seed: int = 0) -> Su
     if len(sample) < 4 * n:
         return sample_surface(field, n, seed=seed)
     order = _space_filling_order(sample.points, field)
-    generator = torch.Generator().manual_seed(seed)
-    total = sample.weights.sum()
-    strip = torch.rand(n, generator=generator, dtype=torch.float64).to(field.theta)
-    place = (torch.arange(n, device=field.device) + strip) * (total / n)
-    chosen = order[torch.searchsorted(sample.weights[order].cumsum(0), place).clamp(max=len(order) - 1)]
-    return placed(field, sample.points[chosen], (total / n).expand(n).clone(), field.size / 16)
+    chosen = order[_one_a_strip(sample.weights[order], n, torch.Generator().manual_seed(seed))]
+    return placed(field, sample.points[chosen], (sample.weights.sum() / n).expand(n).clone(), field.size / 16)
+
+
+def _one_a_strip(amounts: Float[Tensor, " m"], n: int, generator: torch.Generator) -> Tensor:
+    """Which of the amounts laid end to end holds a random place in each of n strips of equal length."""
+    within = torch.rand(n, generator=generator, dtype=torch.float64).to(amounts)
+    place = (torch.arange(n, device=amounts.device) + within) * (amounts.sum() / n)
+    return torch.searchsorted(amounts.cumsum(0), place).clamp(max=len(amounts) - 1)
 
 
 def _cell_areas(nodes: Tensor) -> tuple[Tensor, Tensor]:
