@@ -127,6 +127,7 @@ def trained_rigid_step(
         tangential=tangential,
         points=points,
         damping=None,
+        off_surface_strength=0.0,
         seed=seed,
     )
     problem = operation.step(State(precise, 0, sample.points, None))

@@ -46,9 +46,11 @@ class Request:
         )
         return [*bundled, *found]
 
-    def subject(self, shape: str, *, vertices: int | None = None) -> Subject:
+    def subject(self, shape: str, *, vertices: int | None = None, activation: str | None = None) -> Subject:
         """A shape as a field and a mesh; a fit is kept in the folder and read back when asked for again."""
-        fit = {"steps": 600} if self.quick else {}
+        fit: dict[str, Any] = {"steps": 600} if self.quick else {}
+        if activation is not None:
+            fit["activation"] = activation
         settings: dict[str, Any] = {"vertices": 1200, "resolution": 48} if self.quick else {}
         if vertices is not None:
             settings["vertices"] = vertices
