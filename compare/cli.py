@@ -22,12 +22,14 @@ from compare.commands.paper import Paper, paper
 from compare.commands.report import Report, report
 from compare.commands.run import Run, run
 from compare.commands.shapes import Shapes, shapes
+from compare.commands.study import Study, study
 from compare.commands.train_family import TrainFamily, train_family
 from compare.subject import InputError
 
 # What each command takes, and what does it; in the order of --help.
 COMMANDS: dict[type, Callable[[Any], int]] = {
     Run: run,
+    Study: study,
     Shapes: shapes,
     Fit: fit,
     Report: report,
@@ -60,7 +62,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     except InputError as error:
         print(f"implicit-vs-mesh: {error}", file=sys.stderr)
         code = exits.INPUT
-    except KeyboardInterrupt:
-        print("implicit-vs-mesh: interrupted; `run --resume -o FOLDER` goes on with what is done.", file=sys.stderr)
+    except KeyboardInterrupt as interruption:  # whose words, if any, say what is kept and how to go on
+        print(f"implicit-vs-mesh: interrupted. {interruption}".rstrip(), file=sys.stderr)
         code = exits.INTERRUPTED
     sys.exit(code)

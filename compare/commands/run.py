@@ -9,10 +9,10 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from compare.case import OPERATIONS, Case, default_cases
+from compare.case import OPERATIONS, QUICK_FIT, QUICK_SIZE, Case, default_cases
 from compare.commands.checks import require_folder_for
 from compare.commands.exits import FAILED
-from compare.commands.shown import add_task, advance, finish, progress_bars, speaker, teller
+from compare.commands.shown import add_task, advance, finish, print_json, print_table, progress_bars, speaker, teller
 from compare.records import FILE, Record, read
 from compare.subject import BUNDLED, InputError, check_shape, prepare_subject
 
@@ -54,10 +54,8 @@ def run(command: Run) -> int:
 
     folder.mkdir(parents=True, exist_ok=True)
     records: list[Record] = []
-    fit_options = {"steps": 600} if command.quick else {}
-    settings: dict[str, Any] = {"seed": command.seed}
-    if command.quick:
-        settings |= {"vertices": 1200, "resolution": 48}
+    fit_options = QUICK_FIT if command.quick else {}
+    settings: dict[str, Any] = {"seed": command.seed, **(QUICK_SIZE if command.quick else {})}
     with progress_bars(command.quiet) as bars:
         total = add_task(bars, "all", len(command.shapes) * len(command.operations))
         for name in command.shapes:
@@ -82,12 +80,9 @@ def run(command: Run) -> int:
             finish(bars, current)
     page = write_report(records, folder / "report.html")
     if command.json:
-        import json
-
-        for record in records:
-            print(json.dumps(record.to_dict(), allow_nan=False))
+        print_json(records)
     elif not command.quiet:
-        _print_table(records, said=mended)
+        print_table(records, said=mended)
         say(f"{folder}: {FILE}, edited fields, meshes, and {page.name} to open in a browser.")
     return FAILED if any(record.failed for record in records) else 0
 
@@ -114,27 +109,3 @@ def _require_distinct(names: tuple[str, ...]) -> None:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InputError(f"{twice[0]} is named twice. Name each shape once.")
-
-
-def _print_table(records: list[Record], said: list[str]) -> None:
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
-    from compare.table import COLUMNS, lines, text
-
-    columns = [(k, column) for k, column in enumerate(COLUMNS) if column.brief]
-    table = Table("shape", "edit", "by", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    for _, column in columns:
-        table.add_column(column.title, justify="right", no_wrap=True)
-    for record in records:
-        for shape, operation, side, _, values in lines(record):
-            table.add_row(shape, operation, side, *(text(values[k], column) for k, column in columns))
-        table.add_section()
-    console = Console()
-    console.print(table)
-    for sentence in dict.fromkeys(note for record in records for note in record.notes if note not in said):
-        console.print(sentence, markup=False)
-    for record in records:
-        if record.failed:
-            console.print(f"{record.case.name}, {record.case.operation}: {record.status}", markup=False)
