@@ -19,7 +19,7 @@ from typing import Any
 
 from compare.case import Case, content_of
 from compare.lock import lock
-from compare.records import FILE, Record, latest, replace_file
+from compare.records import FILE, Record, read, replace_file
 from compare.study import Study, find_study
 from compare.subject import InputError, Progress, check_shape
 
@@ -97,7 +97,7 @@ def run_study(
     with lock(folder):
         begun = _begin(study, folder)
         if on_plan is not None:
-            on_plan(begun.cases, len(_done(folder, begun.cases)))
+            on_plan(begun.cases, finished(folder))
 
         from compare.run import run_cases
 
@@ -129,6 +129,14 @@ def require_folder_of(study: Study, folder: Path) -> None:
             )
     elif folder.is_dir() and any(folder.iterdir()):
         raise InputError(f"The folder {folder} is not empty and holds no study. Name another or an empty one.")
+
+
+def finished(folder: Path) -> int:
+    """How many cases of the study in a folder are done, without failure."""
+    if not (folder / FILE).is_file():
+        return 0
+    wanted = {case.key for case in Begun.read(folder).cases}
+    return len(wanted & {record.key for record in read(folder) if not record.failed})
 
 
 def sum_up(study: Study, records: list[Record], folder: Path) -> None:
@@ -168,11 +176,6 @@ def _content(shape: str) -> str:
         return content_of(shape)
     except OSError:
         return "nothing"
-
-
-def _done(folder: Path, cases: list[Case]) -> set[str]:
-    rows = latest(folder) if (folder / FILE).is_file() else []
-    return {record.key for record in rows if not record.failed} & {case.key for case in cases}
 
 
 def _flat(value: Any, name: str = "") -> dict[str, Any]:

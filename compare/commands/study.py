@@ -16,7 +16,7 @@ from compare.commands.checks import require_folder_for
 from compare.commands.shown import add_task, advance, print_json, print_table, progress_bars, speaker, teller
 from compare.executors import executor_of
 from compare.records import Record
-from compare.study_folder import STUDY_FILE, Begun, run_study
+from compare.study_folder import STUDY_FILE, Begun, finished, run_study
 from compare.subject import InputError
 
 
@@ -52,31 +52,26 @@ def study(command: Study) -> int:
         return _list(command.json)
     chosen, folder = _chosen(command)
     say = speaker(command.quiet, to_stderr=True)
-    kept = 0
-
     with progress_bars(command.quiet) as bars, executor_of(command.workers, command.dask) as executor:
         total: Any = None
         current = add_task(bars, "", None) if executor is None else None
 
         def on_plan(cases: list[Case], there: int) -> None:
-            nonlocal kept, total
-            kept, total = there, add_task(bars, chosen.name, len(cases), there)
+            nonlocal total
+            total = add_task(bars, chosen.name, len(cases), there)
 
         def on_record(record: Record) -> None:
-            nonlocal kept
-            kept += 1
             advance(bars, total)
             if bars is not None and not bars.console.is_terminal:  # a log, in which bars do not move
                 task = bars.tasks[total]
-                say(_line(record, kept, task.total, task.time_remaining))
+                say(_line(record, task.completed, task.total, task.time_remaining))
 
         try:
             tell = teller(bars, current)
             records = run_study(chosen, folder, executor, on_plan=on_plan, on_record=on_record, progress=tell)
         except KeyboardInterrupt:
-            raise KeyboardInterrupt(
-                f"{kept} cases are done and kept; the same command goes on with the rest."
-            ) from None
+            kept = f"{finished(folder)} cases are kept; the same command goes on with the rest."
+            raise KeyboardInterrupt(kept) from None
     if command.json:
         print_json(records)
     elif not command.quiet:
@@ -116,8 +111,8 @@ def _list(as_json: bool) -> int:
     return exits.DONE
 
 
-def _line(record: Record, done: int, total: float | None, seconds_left: float | None) -> str:
+def _line(record: Record, done: float, total: float | None, seconds_left: float | None) -> str:
     """A case that has ended, for a log."""
-    what = f"{done} of {total:.0f}: {record.case.name}, {record.case.operation}"
+    what = f"{done:.0f} of {total:.0f}: {record.case.name}, {record.case.operation}"
     left = "" if seconds_left is None else f"; about {timedelta(seconds=round(seconds_left))} left"
     return f"{what}{'. ' + record.status if record.failed else left}"
