@@ -94,22 +94,27 @@ def run_study(
     for shape in study.shapes:
         check_shape(shape)
     folder.mkdir(parents=True, exist_ok=True)
-    with lock(folder):
-        begun = _begin(study, folder)
-        if on_plan is not None:
-            on_plan(begun.cases, finished(folder))
+    try:
+        with lock(folder):
+            begun = _begin(study, folder)
+            if on_plan is not None:
+                on_plan(begun.cases, finished(folder))
 
-        from compare.run import run_cases
+            from compare.run import run_cases
 
-        records = run_cases(
-            begun.cases,
-            executor,
-            folder=folder,
-            keep_meshes=study.keep_meshes,
-            progress=progress,
-            on_record=on_record,
-        )
-        sum_up(study, records, folder)
+            records = run_cases(
+                begun.cases,
+                executor,
+                folder=folder,
+                keep_meshes=study.keep_meshes,
+                progress=progress,
+                on_record=on_record,
+            )
+            sum_up(study, records, folder)
+    except InputError:
+        if not any(folder.iterdir()):  # refused after all; nothing is left of it
+            folder.rmdir()
+        raise
     return records
 
 
