@@ -15,9 +15,9 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 from compare.case import Case, content_of
+from compare.labels import flat
 from compare.lock import lock
 from compare.records import FILE, Record, read, replace_file
 from compare.study import Study, find_study
@@ -125,7 +125,7 @@ def require_folder_of(study: Study, folder: Path) -> None:
         InputError: It does; the message says what differs.
     """
     if (folder / STUDY_FILE).is_file():
-        before, now = (_flat(one.to_dict()) for one in (Begun.read(folder).study, study))
+        before, now = (flat(one.to_dict()) for one in (Begun.read(folder).study, study))
         if before != now:
             name = next(key for key in {**before, **now} if before.get(key) != now.get(key))
             raise InputError(
@@ -181,10 +181,3 @@ def _content(shape: str) -> str:
         return content_of(shape)
     except OSError:
         return "nothing"
-
-
-def _flat(value: Any, name: str = "") -> dict[str, Any]:
-    """Every number and word by its dotted name, to say what differs."""
-    if isinstance(value, dict):
-        return {k: v for key, item in value.items() for k, v in _flat(item, f"{name}.{key}".lstrip(".")).items()}
-    return {name: value}

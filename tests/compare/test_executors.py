@@ -47,11 +47,11 @@ def in_process(cases, tmp_path_factory):
 
 
 def without_times(record):
-    """All of a record but its seconds and its origin; the hashes of its files are left in."""
+    """All of a record but what it cost and its origin; the hashes of its files are left in."""
 
     def strip(value):
         if isinstance(value, dict):
-            kept = (key for key in value if not key.startswith("seconds") and key != "provenance")
+            kept = (key for key in value if not key.startswith(("seconds", "peak_memory", "provenance")))
             return {key: strip(value[key]) for key in kept}
         return [strip(item) for item in value] if isinstance(value, list) else value
 

@@ -16,6 +16,7 @@ import implicit
 import implicit.shapes
 from compare import Case, Record, find_study, run_study
 from compare.curves import Point, curves, draw_charts, write_table
+from compare.labels import labels
 from compare.lock import lock
 from compare.plan import check_options, combinations, plan, setting_of
 from compare.records import FILE, read
@@ -235,6 +236,20 @@ def test_a_folder_in_use_is_refused_until_its_process_is_gone(tmp_path):
 
 
 # The table and the curves
+
+
+def test_cases_are_told_apart_by_the_settings_in_which_they_differ():
+    few, many, other = (
+        Case("spot", "smooth", parameters={"steps": 1, "implicit": {"points": points}}, seed=seed)
+        for points, seed in ((50, 0), (60, 0), (50, 1))
+    )
+    words = labels([few, many, other])
+    assert words[few.key] == "implicit.points 50, seed 0"
+    assert words[other.key] == "implicit.points 50, seed 1"
+    assert labels([few, dataclasses.replace(few, shape="cactus")]) == {
+        few.key: "",
+        dataclasses.replace(few, shape="cactus").key: "",
+    }
 
 
 STUDY = parse_study(
