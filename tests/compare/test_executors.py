@@ -85,7 +85,7 @@ def test_a_dask_cluster_gives_what_one_process_gives_even_if_a_worker_is_killed(
     distributed = pytest.importorskip("distributed", reason="distributed is not installed")
     killed = []
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs="CRITICAL"
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0", silence_logs="CRITICAL"
     ) as cluster:
         address = cluster.scheduler_address
 

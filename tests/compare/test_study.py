@@ -21,7 +21,7 @@ from compare.lock import lock
 from compare.plan import check_options, combinations, plan, setting_of
 from compare.records import FILE, read
 from compare.study import Chart, Study, built_in, parse_study
-from compare.study_folder import STUDY_FILE
+from compare.study_folder import STUDY_FILE, require_folder_of
 from compare.subject import InputError
 
 CHEAP = """
@@ -112,7 +112,7 @@ resolution = [16, 32]
 def test_a_study_of_networks_fits_them_to_the_surface_of_a_bundled_shape(tmp_path):
     study = dataclasses.replace(find_study("width", quick=True), shapes=("cactus",))
     cases = plan(study, tmp_path)
-    assert {case.shape for case in cases} == {str(tmp_path / "inputs" / "cactus.ply")}
+    assert {case.shape for case in cases} == {str(tmp_path / "cactus.ply")}
     assert [setting_of(case, "fit.width") for case in cases] == list(study.grid["fit.width"])
     assert len({case.subject_key for case in cases}) == len(cases)
 
@@ -210,9 +210,14 @@ def test_a_shape_that_has_changed_is_noticed(finished):
         field.write_bytes(before)
 
 
-def test_a_folder_of_other_things_is_refused(ball):
+def test_a_folder_of_other_things_is_refused_but_not_that_of_a_study_killed_at_its_beginning(ball):
+    study = find_study(write(ball, CHEAP))
     with pytest.raises(InputError, match="not empty and holds no study"):
-        run_study(write(ball, CHEAP), ball)
+        require_folder_of(study, ball)
+    (ball / "out" / "inputs").mkdir(parents=True)
+    for name in ("running", ".study.json.123.part"):
+        (ball / "out" / name).touch()
+    require_folder_of(study, ball / "out")
 
 
 def test_a_folder_in_use_is_refused_until_its_process_is_gone(tmp_path):
