@@ -146,6 +146,10 @@ def test_a_study_comes_back_from_json():
         ('y = "seconds"', "", "needs x and y, but has x"),
         ("vertices = 150", "vertices = 15", "at least 100 vertices"),
         ("ball.safetensors", "bal.safetensors", "There is no file"),
+        ("= 60", "= inf", "must be a word, a finite number or a list, but is inf"),
+        ("= 60", "= 2020-01-01", "must be a word, a finite number or a list, but is 2020-01-01"),
+        ("= [1]", "= [1, nan]", "must be a word, a finite number or a list, but is nan"),
+        ("[grid]\nimplicit.steps = [1]", "", "x of a chart .* is 'implicit.steps'"),
     ],
 )
 def test_what_makes_no_study_is_refused_before_any_work(old, new, message, ball):
