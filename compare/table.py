@@ -72,3 +72,9 @@ def lines(record: Record) -> list[tuple[str, str, str, str, list[float | None]]]
         )
         for side, row in record.sides.items()
     ]
+
+
+def error_label(record: Record) -> str:
+    """What the colours of a record mean, with the unit."""
+    unit = "a pure number" if record.case.operation == "rigid" else "in the shape's unit of length"
+    return f"{record.subject['error_means']}, {unit}"
