@@ -6,12 +6,17 @@ to /proc/self/clear_refs), so that afterwards it is the largest since then:
 
     peak memory  =  largest resident memory during the call  -  resident memory before it
 
-It is a lower bound by what the process had freed but not given back before, which a call takes again unseen. It is of
-the whole process: where two calls are watched at once, as in a pool of threads, neither is known.
+What the process holds but does not use would be taken again unseen (a second smoothing seemed to need nothing), so it
+is given back before: Python's cycles, and the free memory of glibc, whose allocator torch and numpy use too. The same
+call then differs by some 5 % from one time to the next, and the first of a process also counts the libraries that it
+loads. The number is of the whole process: where two calls are watched at once, as in a pool of threads, neither is
+known.
 """
 
 from __future__ import annotations
 
+import ctypes
+import gc
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -56,6 +61,12 @@ def with_peak_memory(call: Callable[[], T]) -> tuple[T, float | None]:
 
 def _forget_largest() -> float | None:
     """Make the largest resident memory the present one, and return that; None where the system cannot."""
+    if not FORGET.exists():
+        return None
+    gc.collect()
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc has it, musl not
+    if trim is not None:
+        trim(0)
     try:
         FORGET.write_text("5")
     except OSError:

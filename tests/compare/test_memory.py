@@ -32,6 +32,17 @@ def test_a_peak_before_the_call_does_not_count():
     assert peak < 10
 
 
+def test_what_an_earlier_call_left_free_is_counted_when_it_is_taken_again():
+    """Small blocks below one that is kept stay with the allocator when they are freed, and a second call takes them."""
+
+    def many_small():
+        return [np.ones(1000) for _ in range(12_500)][-1]
+
+    kept, peaks = zip(*(with_peak_memory(many_small) for _ in range(3)), strict=True)
+    assert len(kept) == 3
+    assert peaks == pytest.approx([100] * 3, abs=10)
+
+
 def test_two_calls_at_once_are_not_known():
     """Each waits for the other to have begun, so that they surely overlap; a later one is known again."""
     meet = threading.Barrier(2)
