@@ -87,7 +87,7 @@ def summary_of(records: Sequence[Record], base: str) -> str:
     shapes = {r.case.name for r in records}
     words = f"{len(records)} case{'s' * (len(records) != 1)} on {len(shapes)} shape{'s' * (len(shapes) != 1)}; "
     words += f"{origin.get('time', '')}, {origin.get('processor', '')}, "
-    words += f"{origin.get('threads', '')} threads, Python {origin.get('python', '')}."
+    words += f"threads: {origin.get('threads', '')}, Python {origin.get('python', '')}."
     return f'{html.escape(words)} All rows: <a href="{_href(base, FILE)}" download>{FILE}</a>.'
 
 

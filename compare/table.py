@@ -41,6 +41,7 @@ COLUMNS = (
     ),
     Column("strain_rms", "strain", "rms of the local linear strain, for rigid edits", True, False),
     Column("seconds", "s", "seconds of the editor alone"),
+    Column("peak_memory", "MB", "peak memory of the editor, megabytes", False, False),
 )
 
 
