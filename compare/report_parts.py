@@ -14,11 +14,9 @@ from typing import Any
 from urllib.parse import quote
 
 from compare.records import FILE, Record, plain
-from compare.table import COLUMNS, SIDES, error_label, lines, text
+from compare.table import COLUMNS, SIDE_COLOURS, SIDES, error_label, lines, text
 
 CHARTS = {"volume_drift": "volume, change in %", "area_drift": "area, change in %", "killing_energy": "Killing energy"}
-LINES = {"implicit": "#4c72b0", "mesh": "#dd8452"}
-SECOND_LINE = "#55a868"  # of the second mesh method
 
 # What a record's files are called for a reader.
 FILES = {
@@ -101,7 +99,7 @@ def curves_of(record: Record) -> list[dict[str, Any]]:
                 name: [None if at[name] is None else at[name] * (100 if name.endswith("drift") else 1) for at in rows]
                 for name in CHARTS
             }
-            lines.append({"name": SIDES[side], "colour": LINES.get(side, SECOND_LINE), "values": values})
+            lines.append({"name": SIDES[side], "colour": SIDE_COLOURS[side], "values": values})
     return lines
 
 
