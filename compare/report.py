@@ -20,11 +20,21 @@ from typing import Any
 import numpy as np
 
 from compare.records import Record, plain, replace_file
-from compare.report_parts import CHARTS, curves_of, failures_of, section_of, seen_from, summary_of, table_of
+from compare.report_parts import (
+    CHARTS,
+    curves_of,
+    differences,
+    failures_of,
+    section_of,
+    seen_from,
+    summary_of,
+    table_of,
+)
 
-# Bytes of a face with its share of vertices, all three views of a case, in base64; and what a report may use of them.
-BYTES_PER_FACE = 45
-BUDGET = 4_000_000
+# Bytes of a face in all three views of a case: 3 corners of 2 bytes, half a vertex of 12 and a value of 4, in base64;
+# and what a report may use of them.
+BYTES_PER_FACE = 56
+BUDGET = 3_600_000
 
 # Faces of a view: more cannot be told apart in a pane, and with fewer a shape is no longer itself.
 MOST_FACES, LEAST_FACES = 20_000, 1000
@@ -36,7 +46,7 @@ AZIMUTH = 25.0
 def report(records: Sequence[Record], path: str | PathLike[str], *, folder: str | PathLike[str] | None = None) -> Path:
     """Write the report of some records.
 
-    The page stays below 10 MB: views get coarser the more cases there are, and beyond 88 cases the later ones have
+    The page stays below 10 MB: views get coarser the more cases there are, and beyond 64 cases the later ones have
     their row, curves and files, but no views. Cases without meshes have a row and curves.
 
     Args:
@@ -66,8 +76,11 @@ def report(records: Sequence[Record], path: str | PathLike[str], *, folder: str 
     content = page.substitute(
         plotly=_plotly(),
         summary=summary_of(records, base),
-        table=table_of(done, {r.key: k for k, r in enumerate(done)}),
-        cases="\n".join(section_of(r, k, base, r.key in views) for k, r in enumerate(done)),
+        table=table_of(done),
+        cases="\n".join(
+            section_of(record, k, setting, base, record.key in views)
+            for k, (record, setting) in enumerate(zip(done, differences(done), strict=True))
+        ),
         failures=failures_of(records),
         data=_script_json(
             {

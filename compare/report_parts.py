@@ -27,18 +27,24 @@ FILES = {
 }
 
 
-def table_of(records: Sequence[Record], numbers: Mapping[str, int]) -> str:
-    """The sortable table: a line for each side of each record; numbers are those of the records' sections, by key."""
-    names = "".join(f"<th><button>{name}</button></th>" for name in ("shape", "edit", "by", "method"))
+def table_of(records: Sequence[Record]) -> str:
+    """The sortable table: a line for each side of each record, in the order of their sections.
+
+    Where cases have shape and edit in common, as in a study, a column says in which settings they differ.
+    """
+    differ = differences(records)
+    words_of = ["shape", "edit", *(["setting"] if any(differ) else []), "by", "method"]
+    names = "".join(f"<th><button>{name}</button></th>" for name in words_of)
     head = "".join(
         f'<th class="number" title="{html.escape(c.explains)}"><button>{html.escape(c.title)}</button></th>'
         for c in COLUMNS
     )
     body = []
-    for record in records:
+    for number, (record, setting) in enumerate(zip(records, differ, strict=True)):
         for shape, operation, side, method, values in lines(record):
-            link = f'<a href="#case-{numbers[record.key]}">{html.escape(shape)}</a>'
-            words = "".join(f"<td>{html.escape(word)}</td>" for word in (operation, side, method))
+            link = f'<a href="#case-{number}">{html.escape(shape)}</a>'
+            settings = [setting] if any(differ) else []
+            words = "".join(f"<td>{html.escape(word)}</td>" for word in (operation, *settings, side, method))
             cells = "".join(
                 f'<td class="number" data-value="{"" if value is None else repr(float(value))}">{text(value, c)}</td>'
                 for value, c in zip(values, COLUMNS, strict=True)
@@ -47,19 +53,49 @@ def table_of(records: Sequence[Record], numbers: Mapping[str, int]) -> str:
     return f'<table id="results"><thead><tr>{names}{head}</tr></thead><tbody>{"".join(body)}</tbody></table>'
 
 
-def section_of(record: Record, number: int, base: str, drawn: bool) -> str:
+def differences(records: Sequence[Record]) -> list[str]:
+    """For each record the settings in which it differs from others of the same shape and edit; empty where it is alone.
+
+    A setting is named by the last part of its place, as `points` for parameters, implicit, points.
+    """
+    settings = [_flat(record.case.to_dict()) for record in records]
+    groups: dict[tuple[str, str], list[int]] = {}
+    for k, record in enumerate(records):
+        groups.setdefault((record.case.name, record.case.operation), []).append(k)
+    words = [""] * len(records)
+    for members in groups.values():
+        names = list(dict.fromkeys(name for k in members for name in settings[k]))
+        varied = [name for name in names if len({settings[k].get(name) for k in members}) > 1]
+        for k in members:
+            words[k] = ", ".join(f"{name.split('.')[-1]} {settings[k][name]}" for name in varied if name in settings[k])
+    return words
+
+
+def _flat(value: Any, name: str = "") -> dict[str, str]:
+    """The numbers and words of plain data by their place, parts joined by dots."""
+    if isinstance(value, Mapping):
+        parts = value.items()
+    elif isinstance(value, list):
+        parts = {str(k): part for k, part in enumerate(value)}.items()
+    else:
+        return {name: f"{value:.4g}" if isinstance(value, float) else str(value)}
+    return {place: x for key, part in parts for place, x in _flat(part, f"{name}.{key}" if name else key).items()}
+
+
+def section_of(record: Record, number: int, setting: str, base: str, drawn: bool) -> str:
     """A case.
 
     Args:
         record: It, not a failed one.
         number: Of the section.
+        setting: In what it differs from others of the same shape and edit.
         base: The run folder as seen from the page.
         drawn: Whether the page has its views.
     """
     case = record.case
     notes = "".join(f"<li>{html.escape(note)}</li>" for note in [record.status, *record.notes])
     return f"""<section class="case" id="case-{number}" data-case="{number}">
-<h2>{html.escape(case.name)}: {html.escape(case.operation)}</h2>
+<h2>{html.escape(case.name)}: {html.escape(case.operation)}{html.escape(f", {setting}" if setting else "")}</h2>
 {_views(record) if drawn else _without_views(record)}
 {_charts(record)}
 <ul>{notes}</ul>
