@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 import subprocess
 import sys
 from functools import cache
@@ -62,7 +63,7 @@ def pyvista_trouble() -> str | None:
     except subprocess.TimeoutExpired:
         return f"a trial picture by pyvista was not done after {SECONDS:.0f} s."
     if trial.returncode:
-        said = (trial.stderr.strip().splitlines() or ["it said nothing"])[-1]
+        said = re.sub(r"\x1b\[[0-9;]*m", "", (trial.stderr.strip().splitlines() or ["it said nothing"])[-1])
         return (
             f"a trial picture by pyvista ended with exit code {trial.returncode} ({said}). Is a driver for OpenGL "
             "installed? On Debian: apt install libgl1-mesa-dri."
