@@ -11,6 +11,7 @@ from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from compare.records import Record, replace_file
 from compare.study import Chart, Study, settings_at
@@ -20,6 +21,16 @@ from compare.table import COLUMNS, SIDE_COLOURS, SIDES, Column, number
 MARKERS = "osD^vP*X"
 DASHES = ("-", "--", ":", "-.")
 DPI = 150
+
+# What the columns of the table are called where there is more room; the others keep their titles.
+LABELS = {
+    "killing_energy": "Killing energy",
+    "volume_drift": "drift of the volume",
+    "area_drift": "drift of the area",
+    "handle_error_relative": "handles missed, relative",
+    "error_relative": "normal error, relative",
+    "seconds": "seconds of the editor",
+}
 
 
 @dataclass(frozen=True)
@@ -128,10 +139,19 @@ def _draw(axes: Axes, study: Study, chart: Chart, lines: dict[tuple[str, ...], l
             linewidth=1.2,
         )
     values = [x for pairs in lines.values() for x, _ in pairs]
-    if values and all(isinstance(x, int | float) and x > 0 for x in values):
-        axes.set_xscale("log")
     if lines:
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(LogFormatter())
+        axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))
+    if values and all(isinstance(x, int | float) and x > 0 for x in values):
+        axes.set_xscale("log")
+        if chart.x in study.varied:  # those that were run, not powers of ten
+            ticks = sorted(set(values))
+            axes.set_xticks(ticks, [f"{x:g}" for x in ticks], rotation=0 if len(ticks) < 6 else 45)
+            axes.set_xticks([], minor=True)
+        else:
+            axes.xaxis.set_major_formatter(LogFormatter())
+            axes.xaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))
     axes.set_xlabel(_axis_label(chart.x))
     axes.set_ylabel(_axis_label(chart.y, chart.against_last))
     axes.grid(alpha=0.3, which="both", linewidth=0.4)
@@ -141,7 +161,7 @@ def _axis_label(name: str, against_last: bool = False) -> str:
     column = _column(name)
     if column is None:
         return name
-    title = {"s": "seconds of the editor"}.get(column.title, column.title)
+    title = LABELS.get(name, column.title)
     if against_last:
         return f"{title}: relative difference to the last"
     return f"|{title}|" if name.endswith("_drift") else title

@@ -28,6 +28,9 @@ from compare.subject import InputError
 ATTEMPTS = 2  # processes that a task may lose before it fails
 CONNECT_SECONDS = 10.0  # to reach a scheduler
 
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_ENVIRONMENT = threading.Lock()
+
 
 class WorkerDiedError(RuntimeError):
     """The process that did the task was killed, or crashed, as did the ones that tried again."""
@@ -125,7 +128,8 @@ class _Worker:
         context = multiprocessing.get_context("spawn")  # torch must not be forked
         self._pipe, other = context.Pipe()
         self._process: BaseProcess = context.Process(target=_serve, args=(other,), daemon=True)
-        self._process.start()
+        with _one_thread():
+            self._process.start()
         other.close()  # the process has it now, and only the process: when it dies, this end says so
 
     @property
@@ -161,10 +165,25 @@ class _Worker:
         self._process.join()
 
 
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """For the moment in which a process starts and takes over the environment: numerical libraries read it once."""
+    with _ENVIRONMENT:
+        before = {name: os.environ.get(name) for name in THREADS}
+        os.environ.update(dict.fromkeys(THREADS, "1"))
+        try:
+            yield
+        finally:
+            for name, value in before.items():
+                if value is None:
+                    del os.environ[name]
+                else:
+                    os.environ[name] = value
+
+
 def _serve(pipe: Connection) -> None:
     """What a worker process does until the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the whole group, and the parent sees to the rest
-    os.environ["OMP_NUM_THREADS"] = "1"  # read when torch is imported, which the first task does
     threading.Thread(target=_end_with_parent, daemon=True).start()
     while True:
         try:

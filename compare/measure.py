@@ -102,7 +102,7 @@ def measure(
         row["error_relative"] = _rms(error, weights) / wanted.largest
     return row | {
         "seconds": outcome.seconds,
-        "phases": dict(outcome.phases),
+        "seconds_by_phase": dict(outcome.seconds_by_phase),
         "peak_memory": outcome.peak_memory,
         "details": dict(outcome.details),
     }

@@ -70,7 +70,7 @@ class Outcome:
     complete: bool  # whether it did all that was asked
     seconds: float
     field: Field | None = None  # the edited field, of the neural editor
-    phases: Mapping[str, float] = default(default_factory=dict)  # seconds by phase, as docs/metrics.md has them
+    seconds_by_phase: Mapping[str, float] = default(default_factory=dict)  # as docs/metrics.md has them
     path: Sequence[Halfway] = ()  # after each step, of an editor that takes steps
     peak_memory: float | None = None  # megabytes, see compare.memory
     details: Mapping[str, Any] = default(default_factory=dict)
@@ -169,7 +169,7 @@ def edit_field(case: Case, subject: Subject, progress: Progress | None = None) -
         done,
         seconds,
         field=edit.field,
-        phases=_phases(edit, seconds),
+        seconds_by_phase=_phases(edit, seconds),
         path=_path(edit, subject, seconds),
         details=details,
     )
@@ -199,7 +199,7 @@ def edit_mesh(case: Case, subject: Subject, wanted: Wanted, progress: Progress |
             flow.status.value,
             flow.status is meshref.FlowStatus.FINISHED,
             seconds,
-            phases={"steps": seconds},
+            seconds_by_phase={"steps": seconds},
             path=[
                 Halfway(V - subject.V, row.seconds) for V, row in zip(flow.snapshots[1:], flow.history[1:], strict=True)
             ],
@@ -209,7 +209,7 @@ def edit_mesh(case: Case, subject: Subject, wanted: Wanted, progress: Progress |
     result = meshref.killing(subject.V, subject.F, handles, wanted.displacement[handles], **options)
     seconds, done = perf_counter() - start, result.status is meshref.KillingStatus.SOLVED
     method = "Killing least squares"
-    return Outcome(result.displacement, method, result.status.value, done, seconds, phases=result.seconds)
+    return Outcome(result.displacement, method, result.status.value, done, seconds, seconds_by_phase=result.seconds)
 
 
 def edit_mesh_by_arap(case: Case, subject: Subject, wanted: Wanted) -> Outcome:
@@ -224,7 +224,7 @@ def edit_mesh_by_arap(case: Case, subject: Subject, wanted: Wanted) -> Outcome:
         result.status.value,
         done,
         seconds,
-        phases=result.seconds,
+        seconds_by_phase=result.seconds,
         details={"iterations": result.iterations},
     )
 
@@ -243,7 +243,9 @@ def edit_mesh_by_biharmonic(case: Case, subject: Subject, wanted: Wanted) -> Out
     start = perf_counter()
     result = meshref.biharmonic(subject.V, subject.F, held, wanted.displacement[held])
     seconds, done = perf_counter() - start, result.status is meshref.BiharmonicStatus.SOLVED
-    return Outcome(result.displacement, "biharmonic", result.status.value, done, seconds, phases={"solve": seconds})
+    return Outcome(
+        result.displacement, "biharmonic", result.status.value, done, seconds, seconds_by_phase={"solve": seconds}
+    )
 
 
 def _phases(edit: Edit, seconds: float) -> dict[str, float]:

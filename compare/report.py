@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 
+from compare.labels import labels
 from compare.records import Record, plain, replace_file
 from compare.report_parts import (
     CHARTS,
     curves_of,
-    differences,
     failures_of,
     section_of,
     seen_from,
@@ -79,7 +79,7 @@ def report(records: Sequence[Record], path: str | PathLike[str], *, folder: str 
         table=table_of(done),
         cases="\n".join(
             section_of(record, k, setting, base, record.key in views)
-            for k, (record, setting) in enumerate(zip(done, differences(done), strict=True))
+            for k, (record, setting) in enumerate(zip(done, labels([r.case for r in done]), strict=True))
         ),
         failures=failures_of(records),
         data=_script_json(

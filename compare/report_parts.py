@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from compare.labels import labels
 from compare.records import FILE, Record, plain
 from compare.table import COLUMNS, SIDE_COLOURS, SIDES, error_label, lines, text
 
@@ -32,7 +33,7 @@ def table_of(records: Sequence[Record]) -> str:
 
     Where cases have shape and edit in common, as in a study, a column says in which settings they differ.
     """
-    differ = differences(records)
+    differ = labels([record.case for record in records])
     words_of = ["shape", "edit", *(["setting"] if any(differ) else []), "by", "method"]
     names = "".join(f"<th><button>{name}</button></th>" for name in words_of)
     head = "".join(
@@ -51,35 +52,6 @@ def table_of(records: Sequence[Record]) -> str:
             )
             body.append(f"<tr><td>{link}</td>{words}{cells}</tr>")
     return f'<table id="results"><thead><tr>{names}{head}</tr></thead><tbody>{"".join(body)}</tbody></table>'
-
-
-def differences(records: Sequence[Record]) -> list[str]:
-    """For each record the settings in which it differs from others of the same shape and edit; empty where it is alone.
-
-    A setting is named by the last part of its place, as `points` for parameters, implicit, points.
-    """
-    settings = [_flat(record.case.to_dict()) for record in records]
-    groups: dict[tuple[str, str], list[int]] = {}
-    for k, record in enumerate(records):
-        groups.setdefault((record.case.name, record.case.operation), []).append(k)
-    words = [""] * len(records)
-    for members in groups.values():
-        names = list(dict.fromkeys(name for k in members for name in settings[k]))
-        varied = [name for name in names if len({settings[k].get(name) for k in members}) > 1]
-        for k in members:
-            words[k] = ", ".join(f"{name.split('.')[-1]} {settings[k][name]}" for name in varied if name in settings[k])
-    return words
-
-
-def _flat(value: Any, name: str = "") -> dict[str, str]:
-    """The numbers and words of plain data by their place, parts joined by dots."""
-    if isinstance(value, Mapping):
-        parts = value.items()
-    elif isinstance(value, list):
-        parts = {str(k): part for k, part in enumerate(value)}.items()
-    else:
-        return {name: f"{value:.4g}" if isinstance(value, float) else str(value)}
-    return {place: x for key, part in parts for place, x in _flat(part, f"{name}.{key}" if name else key).items()}
 
 
 def section_of(record: Record, number: int, setting: str, base: str, drawn: bool) -> str:
@@ -207,7 +179,7 @@ def _numbers(record: Record) -> str:
     columns = {
         side: {
             **{k: v for k, v in row.items() if _is_number(v)},
-            **{f"seconds, {phase}": v for phase, v in row.get("phases", {}).items()},
+            **{f"seconds, {phase}": v for phase, v in row.get("seconds_by_phase", {}).items()},
         }
         for side, row in record.sides.items()
     }

@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from compare.case import FIELD_SUFFIX, MESH_SUFFIXES, OPERATIONS, HandleSpec, Operation
+from compare.labels import flat
 from compare.records import plain
 from compare.subject import InputError
 from compare.table import COLUMNS
@@ -173,12 +174,12 @@ def parse_study(text: str, name: str, base: Path, *, quick: bool = False, shapes
         if operation not in OPERATIONS:
             hint = _did_you_mean(operation, OPERATIONS)
             raise InputError(f"An operation in {name} is one of {', '.join(OPERATIONS)}, but is {operation!r}.{hint}")
-    grid = _flat(_table(given.get("grid", {}), "grid", name))
+    grid = flat(_table(given.get("grid", {}), "grid", name))
     for axis, values in grid.items():
         if not isinstance(values, list) or not values:
             raise InputError(f"{axis} in [grid] of {name} must be a list of values, but is {values!r}.")
         if any(isinstance(value, dict) for value in values):
-            tables = [_flat(value) for value in values if isinstance(value, dict)]
+            tables = [flat(value) for value in values if isinstance(value, dict)]
             if len(tables) < len(values) or any(set(table) != set(tables[0]) for table in tables):
                 raise InputError(f"The tables of {axis} in [grid] of {name} must all set the same settings.")
             grid[axis] = tables
@@ -190,7 +191,7 @@ def parse_study(text: str, name: str, base: Path, *, quick: bool = False, shapes
         shapes=tuple(_located(shape, Path()) for shape in shapes) or tuple(own),
         operations=tuple(operation for operation in get_args(Operation) if operation in operations),
         grid={axis: tuple(values) for axis, values in grid.items()},
-        settings=_flat(_table(given.get("settings", {}), "settings", name)),
+        settings=flat(_table(given.get("settings", {}), "settings", name)),
         handles=tuple(_handle(row, name) for row in _rows(given, "handles", name)),
         charts=tuple(_chart(row, name) for row in _rows(given, "charts", name)),
         keep_meshes=bool(given.get("keep_meshes", True)),
@@ -238,14 +239,6 @@ def _require_setting(setting: str, operations: Iterable[str], name: str) -> None
 def settings_at(axis: str, value: Any) -> Mapping[str, Any]:
     """What one value of an axis sets."""
     return value if isinstance(value, Mapping) else {axis: value}
-
-
-def _flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    """Nested tables as one, with dotted names."""
-    flat: dict[str, Any] = {}
-    for key, value in table.items():
-        flat |= _flat(value, f"{before}{key}.") if isinstance(value, dict) else {f"{before}{key}": value}
-    return flat
 
 
 def _merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

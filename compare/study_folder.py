@@ -4,7 +4,7 @@ study.json     the study's own copy of its settings, the hashes of its shapes, a
 results.jsonl  a row for each case that has been run
 table.csv      the numbers, a line for each case and method
 chart.png/pdf  its curves
-report.html    everything in 3D, with fields/ and meshes/, where they are kept
+report.html    every case with its curves, and in 3D, with fields/ and meshes/, where they are kept
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 from compare.case import Case, content_of
+from compare.labels import flat
 from compare.lock import lock
-from compare.records import FILE, Record, latest, replace_file
+from compare.records import FILE, Record, read, replace_file
 from compare.study import Study, find_study
 from compare.subject import InputError, Progress, check_shape
 
@@ -94,22 +94,27 @@ def run_study(
     for shape in study.shapes:
         check_shape(shape)
     folder.mkdir(parents=True, exist_ok=True)
-    with lock(folder):
-        begun = _begin(study, folder)
-        if on_plan is not None:
-            on_plan(begun.cases, len(_done(folder, begun.cases)))
+    try:
+        with lock(folder):
+            begun = _begin(study, folder)
+            if on_plan is not None:
+                on_plan(begun.cases, finished(folder))
 
-        from compare.run import run_cases
+            from compare.run import run_cases
 
-        records = run_cases(
-            begun.cases,
-            executor,
-            folder=folder,
-            keep_meshes=study.keep_meshes,
-            progress=progress,
-            on_record=on_record,
-        )
-        sum_up(study, records, folder)
+            records = run_cases(
+                begun.cases,
+                executor,
+                folder=folder,
+                keep_meshes=study.keep_meshes,
+                progress=progress,
+                on_record=on_record,
+            )
+            sum_up(study, records, folder)
+    except InputError:
+        if not any(folder.iterdir()):  # refused after all; nothing is left of it
+            folder.rmdir()
+        raise
     return records
 
 
@@ -120,7 +125,7 @@ def require_folder_of(study: Study, folder: Path) -> None:
         InputError: It does; the message says what differs.
     """
     if (folder / STUDY_FILE).is_file():
-        before, now = (_flat(one.to_dict()) for one in (Begun.read(folder).study, study))
+        before, now = (flat(one.to_dict()) for one in (Begun.read(folder).study, study))
         if before != now:
             name = next(key for key in {**before, **now} if before.get(key) != now.get(key))
             raise InputError(
@@ -131,17 +136,23 @@ def require_folder_of(study: Study, folder: Path) -> None:
         raise InputError(f"The folder {folder} is not empty and holds no study. Name another or an empty one.")
 
 
+def finished(folder: Path) -> int:
+    """How many cases of the study in a folder are done, without failure."""
+    if not (folder / FILE).is_file():
+        return 0
+    wanted = {case.key for case in Begun.read(folder).cases}
+    return len(wanted & {record.key for record in read(folder) if not record.failed})
+
+
 def sum_up(study: Study, records: list[Record], folder: Path) -> None:
-    """Write the table, the chart, and the report if there is anything to show in 3D."""
+    """Write the table, the chart and the report."""
     from compare.curves import draw_charts, write_table
+    from compare.report import report
 
     write_table(study, records, folder / "table.csv")
     if study.charts:
         draw_charts(study, records, folder / "chart")
-    if any(record.artefacts for record in records):
-        from compare.report import report
-
-        report(records, folder / "report.html")
+    report(records, folder / "report.html")
 
 
 def _begin(study: Study, folder: Path) -> Begun:
@@ -168,15 +179,3 @@ def _content(shape: str) -> str:
         return content_of(shape)
     except OSError:
         return "nothing"
-
-
-def _done(folder: Path, cases: list[Case]) -> set[str]:
-    rows = latest(folder) if (folder / FILE).is_file() else []
-    return {record.key for record in rows if not record.failed} & {case.key for case in cases}
-
-
-def _flat(value: Any, name: str = "") -> dict[str, Any]:
-    """Every number and word by its dotted name, to say what differs."""
-    if isinstance(value, dict):
-        return {k: v for key, item in value.items() for k, v in _flat(item, f"{name}.{key}".lstrip(".")).items()}
-    return {name: value}

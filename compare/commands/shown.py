@@ -63,7 +63,7 @@ def teller(bars: Bars | None, task: Any) -> Callable[[int, int, str], None]:
     """The progress callback of the library, for a bar."""
 
     def tell(step: int, steps: int, what: str) -> None:
-        if bars is not None:
+        if bars is not None and task is not None:
             bars.update(task, completed=step, total=steps, what=what)
 
     return tell
@@ -73,12 +73,6 @@ def advance(bars: Bars | None, task: Any) -> None:
     """One more is done."""
     if bars is not None:
         bars.advance(task)
-
-
-def finish(bars: Bars | None, task: Any) -> None:
-    """All is done."""
-    if bars is not None:
-        bars.update(task, completed=1, total=1, what="done")
 
 
 def print_json(records: Sequence[Record]) -> None:

@@ -15,8 +15,9 @@ from compare.commands import exits
 from compare.commands.checks import require_folder_for
 from compare.commands.shown import add_task, advance, print_json, print_table, progress_bars, speaker, teller
 from compare.executors import executor_of
+from compare.labels import labels
 from compare.records import Record
-from compare.study_folder import STUDY_FILE, Begun, run_study
+from compare.study_folder import STUDY_FILE, Begun, finished, run_study
 from compare.subject import InputError
 
 
@@ -52,31 +53,28 @@ def study(command: Study) -> int:
         return _list(command.json)
     chosen, folder = _chosen(command)
     say = speaker(command.quiet, to_stderr=True)
-    kept = 0
-
     with progress_bars(command.quiet) as bars, executor_of(command.workers, command.dask) as executor:
         total: Any = None
+        label: dict[str, str] = {}
         current = add_task(bars, "", None) if executor is None else None
 
         def on_plan(cases: list[Case], there: int) -> None:
-            nonlocal kept, total
-            kept, total = there, add_task(bars, chosen.name, len(cases), there)
+            nonlocal total, label
+            label = dict(zip((case.key for case in cases), labels(cases), strict=True))
+            total = add_task(bars, chosen.name, len(cases), there)
 
         def on_record(record: Record) -> None:
-            nonlocal kept
-            kept += 1
             advance(bars, total)
             if bars is not None and not bars.console.is_terminal:  # a log, in which bars do not move
                 task = bars.tasks[total]
-                say(_line(record, kept, task.total, task.time_remaining))
+                say(_line(record, label[record.key], task.completed, task.total, task.time_remaining))
 
         try:
             tell = teller(bars, current)
             records = run_study(chosen, folder, executor, on_plan=on_plan, on_record=on_record, progress=tell)
         except KeyboardInterrupt:
-            raise KeyboardInterrupt(
-                f"{kept} cases are done and kept; the same command goes on with the rest."
-            ) from None
+            kept = f"{finished(folder)} cases are kept; the same command goes on with the rest."
+            raise KeyboardInterrupt(kept) from None
     if command.json:
         print_json(records)
     elif not command.quiet:
@@ -116,8 +114,9 @@ def _list(as_json: bool) -> int:
     return exits.DONE
 
 
-def _line(record: Record, done: int, total: float | None, seconds_left: float | None) -> str:
+def _line(record: Record, label: str, done: float, total: float | None, seconds_left: float | None) -> str:
     """A case that has ended, for a log."""
-    what = f"{done} of {total:.0f}: {record.case.name}, {record.case.operation}"
+    words = ", ".join(filter(None, (record.case.name, record.case.operation, label)))
+    what = f"{done:.0f} of {total:.0f}: {words}"
     left = "" if seconds_left is None else f"; about {timedelta(seconds=round(seconds_left))} left"
     return f"{what}{'. ' + record.status if record.failed else left}"

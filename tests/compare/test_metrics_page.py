@@ -21,7 +21,7 @@ def names_in(record):
     """Every name of a number or a word of a record, but those of the case, the fit and the provenance."""
     names = {*record.subject, *record.between, *record.seconds}
     for row in record.sides.values():
-        names |= {*row, *row["phases"], *row["details"], *(name for at in row["curve"] for name in at)}
+        names |= {*row, *row["seconds_by_phase"], *row["details"], *(name for at in row["curve"] for name in at)}
         names |= {name for step in row["details"].get("history", []) for name in step}
     return names
 
@@ -52,10 +52,10 @@ def test_every_kind_of_number_is_in_the_small_run(small_run):
 def test_phases_add_up_to_the_seconds_of_their_side(small_run):
     for record in small_run.records:
         for row in record.sides.values():
-            assert all(seconds >= 0 for seconds in row["phases"].values())
-            assert sum(row["phases"].values()) <= row["seconds"] * 1.001
+            assert all(seconds >= 0 for seconds in row["seconds_by_phase"].values())
+            assert sum(row["seconds_by_phase"].values()) <= row["seconds"] * 1.001
         neural = record.sides["implicit"]
-        assert sum(neural["phases"].values()) == pytest.approx(neural["seconds"], rel=1e-9)
+        assert sum(neural["seconds_by_phase"].values()) == pytest.approx(neural["seconds"], rel=1e-9)
 
 
 def test_curves_end_at_the_numbers_of_their_side(small_run):
