@@ -182,7 +182,7 @@ def _draw_motion(axes: Axes, view: View, record: Record, camera: Camera) -> None
         if handle.motion["kind"] == "vector" and not handle.holds and len(held):
             start = screen @ held.mean(axis=0)
             end = start + screen @ np.asarray(handle.motion["vector"]) * float(record.subject["scale"])
-            if np.linalg.norm(end - start) < 0.05 * size:
+            if np.linalg.norm(end - start) < 0.07 * size:
                 continue
             axes.annotate("", end, start, arrowprops={"arrowstyle": "->", "lw": 1.4}, zorder=5)
 

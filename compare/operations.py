@@ -195,7 +195,7 @@ def edit_mesh(case: Case, subject: Subject, wanted: Wanted, progress: Progress |
         seconds = perf_counter() - start
         return Outcome(
             flow.V - subject.V,
-            f"{options['method']} curvature flow, volume kept",
+            f"{options['method']} curvature flow{', volume kept' if options['preserve_volume'] else ''}",
             flow.status.value,
             flow.status is meshref.FlowStatus.FINISHED,
             seconds,

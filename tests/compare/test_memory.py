@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from compare import memory
 from compare.memory import with_peak_memory
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the peak can be forgotten on Linux alone")
@@ -54,6 +55,11 @@ def test_two_calls_at_once_are_not_known():
         thread.join()
     assert found == [None, None]
     assert with_peak_memory(lambda: None)[1] is not None
+
+
+def test_where_the_system_cannot_forget_the_peak_it_is_not_known(monkeypatch, tmp_path):
+    monkeypatch.setattr(memory, "FORGET", tmp_path / "clear_refs")
+    assert with_peak_memory(lambda: 3) == (3, None)
 
 
 def test_a_call_that_fails_leaves_nothing_behind():
