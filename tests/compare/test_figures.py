@@ -108,7 +108,7 @@ def test_the_colour_map_is_as_light_at_both_ends_and_lightest_at_zero_without_ju
     assert (np.diff(lightness[53:]) < 0).all()
     assert lightness[0] == pytest.approx(lightness[-1], abs=3)
     steps = deltaE_ciede2000(lab[1:], lab[:-1])
-    assert steps.max() < 2.5 * np.median(steps)
+    assert steps.max() < 2 * np.median(steps)
 
 
 # The probe. Each test asks anew, for the answer is kept.
