@@ -107,7 +107,7 @@ def curves_of(record: Record) -> list[dict[str, Any]]:
                 name: [None if at[name] is None else at[name] * (100 if name.endswith("drift") else 1) for at in rows]
                 for name in CHARTS
             }
-            lines.append({"name": SIDES[side], "colour": SIDE_COLOURS[side], "values": values})
+            lines.append({"name": SIDES.get(side, side), "colour": SIDE_COLOURS.get(side, "#555555"), "values": values})
     return lines
 
 
@@ -184,7 +184,7 @@ def _numbers(record: Record) -> str:
         for side, row in record.sides.items()
     }
     names = list(dict.fromkeys(name for column in columns.values() for name in column))
-    head = "".join(f'<th class="number">{html.escape(SIDES[side])}</th>' for side in columns)
+    head = "".join(f'<th class="number">{html.escape(SIDES.get(side, side))}</th>' for side in columns)
     body = "".join(
         f"<tr><td>{html.escape(name)}</td>"
         + "".join(f'<td class="number">{_figure(column.get(name))}</td>' for column in columns.values())
@@ -217,4 +217,4 @@ def _is_number(value: Any) -> bool:
 
 
 def _figure(value: float | None) -> str:
-    return "" if value is None else f"{value:.4g}"
+    return "" if value is None else str(value) if isinstance(value, int) else f"{value:.4g}"
