@@ -18,8 +18,9 @@ and mesh.NAME for the options of the editors, fit.NAME for those of the fit of a
 from __future__ import annotations
 
 import difflib
+import math
 import tomllib
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field as default
 from importlib import resources
 from pathlib import Path
@@ -135,7 +136,10 @@ def find_study(name: str, *, quick: bool = False, shapes: Collection[str] = ()) 
     if path.suffix == ".toml":
         if not path.is_file():
             raise InputError(f"There is no file {name}. Check the path; built-in studies are {', '.join(built_in())}.")
-        text, base = path.read_text(encoding="utf-8"), path.absolute().parent
+        try:
+            text, base = path.read_text(encoding="utf-8"), path.absolute().parent
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"{name} cannot be read as text: {error}.") from error
     else:
         file = resources.files("compare") / "builtin_studies" / f"{name}.toml"
         if not file.is_file():
@@ -209,16 +213,29 @@ def _check(study: Study, name: str) -> None:
         raise InputError(f"{name} gives handles, but smoothing takes none.")
     for setting in [*study.settings, *study.varied]:
         _require_setting(setting, study.operations, name)
+    for setting, value in _values(study):
+        if not isinstance(value, str | int | float | list) or (isinstance(value, float) and not math.isfinite(value)):
+            raise InputError(f"{setting} in {name} must be a word, a finite number or a list, but is {value}.")
     places = [*study.settings, *(s for axis, values in study.grid.items() for s in settings_at(axis, values[0]))]
     if twice := [setting for setting in places if places.count(setting) > 1]:
         raise InputError(f"{twice[0]} is set in two places of {name}. Keep one.")
     measured = [column.name for column in COLUMNS]
     for chart in study.charts:
+        if chart.against_last and not study.grid:
+            raise InputError(f"A chart in {name} is against the last of the grid, but there is no [grid].")
         for axis, allowed in (("x", [*study.varied, *measured]), ("y", measured)):
             value = getattr(chart, axis)
             if value not in allowed:
                 hint = _did_you_mean(value, allowed)
                 raise InputError(f"{axis} of a chart in {name} is one of {', '.join(allowed)}, but is {value!r}.{hint}")
+
+
+def _values(study: Study) -> Iterator[tuple[str, Any]]:
+    """Every setting with every value that it takes."""
+    yield from study.settings.items()
+    for axis, values in study.grid.items():
+        for value in values:
+            yield from settings_at(axis, value).items()
 
 
 def _require_setting(setting: str, operations: Iterable[str], name: str) -> None:

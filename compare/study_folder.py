@@ -18,13 +18,14 @@ from pathlib import Path
 
 from compare.case import Case, content_of
 from compare.labels import flat
-from compare.lock import lock
+from compare.lock import FILE as LOCK_FILE, lock
 from compare.records import FILE, Record, read, replace_file
 from compare.study import Study, find_study
 from compare.subject import InputError, Progress, check_shape
 
 SCHEMA = 1
 STUDY_FILE = "study.json"
+INPUTS = "inputs"  # a folder for shapes that the study itself writes
 
 
 @dataclass(frozen=True)
@@ -132,7 +133,7 @@ def require_folder_of(study: Study, folder: Path) -> None:
                 f"The folder {folder} holds another study: {name} was {before.get(name)!r}, and is {now.get(name)!r} "
                 "now. Name another folder."
             )
-    elif folder.is_dir() and any(folder.iterdir()):
+    elif folder.is_dir() and any(not _is_of_a_beginning(path) for path in folder.iterdir()):
         raise InputError(f"The folder {folder} is not empty and holds no study. Name another or an empty one.")
 
 
@@ -167,7 +168,7 @@ def _begin(study: Study, folder: Path) -> Begun:
 
     from compare.plan import plan
 
-    cases = plan(study, folder)
+    cases = plan(study, folder / INPUTS)
     shapes = dict.fromkeys(case.shape for case in cases)
     begun = Begun(study, cases, {shape: _content(shape) for shape in shapes if Path(shape).suffix})
     begun.write(folder)
@@ -179,3 +180,8 @@ def _content(shape: str) -> str:
         return content_of(shape)
     except OSError:
         return "nothing"
+
+
+def _is_of_a_beginning(path: Path) -> bool:
+    """Whether it is what a study leaves that was killed before its study.json was there."""
+    return path.name in (LOCK_FILE, INPUTS) or path.suffix == ".part"

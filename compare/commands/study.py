@@ -87,7 +87,7 @@ def _chosen(command: Study) -> tuple[studies.Study, Path]:
     """The study that is meant, and its folder."""
     if not command.name:
         raise InputError(f"Name a study: {', '.join(studies.built_in())}, or a file ending in .toml.")
-    if (Path(command.name) / STUDY_FILE).is_file():
+    if command.name not in studies.built_in() and (Path(command.name) / STUDY_FILE).is_file():
         if command.shapes or command.quick or command.no_meshes or command.output:
             raise InputError(f"{command.name} holds a study with its own settings. Leave the options for it out.")
         return Begun.read(Path(command.name)).study, Path(command.name)

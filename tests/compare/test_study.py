@@ -21,7 +21,7 @@ from compare.lock import lock
 from compare.plan import check_options, combinations, plan, setting_of
 from compare.records import FILE, read
 from compare.study import Chart, Study, built_in, parse_study
-from compare.study_folder import STUDY_FILE
+from compare.study_folder import STUDY_FILE, require_folder_of
 from compare.subject import InputError
 
 CHEAP = """
@@ -112,7 +112,7 @@ resolution = [16, 32]
 def test_a_study_of_networks_fits_them_to_the_surface_of_a_bundled_shape(tmp_path):
     study = dataclasses.replace(find_study("width", quick=True), shapes=("cactus",))
     cases = plan(study, tmp_path)
-    assert {case.shape for case in cases} == {str(tmp_path / "inputs" / "cactus.ply")}
+    assert {case.shape for case in cases} == {str(tmp_path / "cactus.ply")}
     assert [setting_of(case, "fit.width") for case in cases] == list(study.grid["fit.width"])
     assert len({case.subject_key for case in cases}) == len(cases)
 
@@ -146,6 +146,10 @@ def test_a_study_comes_back_from_json():
         ('y = "seconds"', "", "needs x and y, but has x"),
         ("vertices = 150", "vertices = 15", "at least 100 vertices"),
         ("ball.safetensors", "bal.safetensors", "There is no file"),
+        ("= 60", "= inf", "must be a word, a finite number or a list, but is inf"),
+        ("= 60", "= 2020-01-01", "must be a word, a finite number or a list, but is 2020-01-01"),
+        ("= [1]", "= [1, nan]", "must be a word, a finite number or a list, but is nan"),
+        ("[grid]\nimplicit.steps = [1]", "", "x of a chart .* is 'implicit.steps'"),
     ],
 )
 def test_what_makes_no_study_is_refused_before_any_work(old, new, message, ball):
@@ -210,9 +214,14 @@ def test_a_shape_that_has_changed_is_noticed(finished):
         field.write_bytes(before)
 
 
-def test_a_folder_of_other_things_is_refused(ball):
+def test_a_folder_of_other_things_is_refused_but_not_that_of_a_study_killed_at_its_beginning(ball):
+    study = find_study(write(ball, CHEAP))
     with pytest.raises(InputError, match="not empty and holds no study"):
-        run_study(write(ball, CHEAP), ball)
+        require_folder_of(study, ball)
+    (ball / "out" / "inputs").mkdir(parents=True)
+    for name in ("running", ".study.json.123.part"):
+        (ball / "out" / name).touch()
+    require_folder_of(study, ball / "out")
 
 
 def test_a_folder_in_use_is_refused_until_its_process_is_gone(tmp_path):
