@@ -15,10 +15,9 @@ from matplotlib.ticker import LogFormatter
 
 from compare.records import Record, replace_file
 from compare.study import Chart, Study, settings_at
-from compare.table import COLUMNS, SIDES, Column, number
+from compare.table import COLUMNS, SIDE_COLOURS, SIDES, Column, number
 
-# Of a method, whatever else is drawn; of a shape, its marker.
-COLOURS = {"implicit": "#0072b2", "mesh": "#d55e00", "mesh, ARAP": "#009e73", "mesh, biharmonic": "#cc79a7"}
+# Of a shape; a method has its colour, whatever else is drawn.
 MARKERS = "osD^vP*X"
 DASHES = ("-", "--", ":", "-.")
 DPI = 150
@@ -133,7 +132,7 @@ def _draw(axes: Axes, study: Study, chart: Chart, lines: dict[tuple[str, ...], l
         axes.plot(
             *zip(*pairs, strict=True),
             label=", ".join(label),
-            color=COLOURS.get(side, "#555555"),
+            color=SIDE_COLOURS.get(side, "#555555"),
             marker=MARKERS[shapes.index(shape) % len(MARKERS)],
             linestyle=DASHES[variants.index((operation, *words)) % len(DASHES)],
             markersize=4,

@@ -1,4 +1,4 @@
-"""Still pictures without a graphics card: shaded triangles, sorted by depth and painted from the back.
+"""Still pictures of a run, by pyvista where it can draw, otherwise by shaded triangles painted from the back.
 
 A picture has a row for each operation and the columns before, neural field, mesh. Before shows the handles; the two
 results show the error, on one colour range about zero that they share.
@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -22,9 +23,12 @@ from matplotlib.figure import Figure
 from numpy import ndarray
 
 from compare.case import HandleSpec
+from compare.pyvista_painter import paint_with_pyvista, pyvista_trouble
 from compare.records import Record
-from compare.table import COLUMNS, number, text
+from compare.table import COLUMNS, error_label, number, text
 from compare.views import ELEVATION, PANES, View, azimuth_of, colour_limit, load_views, simplified
+
+Painter = Literal["auto", "pyvista", "matplotlib"]
 
 # Moreland's map, made for shaded surfaces: diverging about zero, even in lightness on both sides.
 COLOURS = "coolwarm"
@@ -53,6 +57,7 @@ def draw_figures(
     output: str | PathLike[str] | None = None,
     formats: Sequence[str] = ("png", "pdf"),
     camera: Camera | None = None,
+    painter: Painter = "auto",
 ) -> list[Path]:
     """Paint a picture for each shape.
 
@@ -62,13 +67,16 @@ def draw_figures(
         output: Where the pictures go; None is `figures` in the run folder.
         formats: What matplotlib can write: png, pdf, svg.
         camera: Where from; None looks to where most of what moves is seen.
+        painter: "pyvista", "matplotlib", or "auto", which is pyvista where it can draw.
 
     Returns:
         The files written.
 
     Raises:
         FileNotFoundError: A mesh that a record names is gone.
+        ValueError: The painter is "pyvista", but it cannot draw here.
     """
+    painter, _ = usable_painter(painter)
     folder = Path(folder)
     target = folder / "figures" if output is None else Path(output)
     by_shape: dict[str, list[Record]] = {}
@@ -77,7 +85,7 @@ def draw_figures(
             by_shape.setdefault(record.case.name, []).append(record)
     written = []
     for name, group in by_shape.items():
-        figure = picture(group, folder, camera=camera)
+        figure = picture(group, folder, camera=camera, painter=painter)
         target.mkdir(parents=True, exist_ok=True)
         for suffix in formats:
             path = target / f"{name}.{suffix}"
@@ -86,8 +94,31 @@ def draw_figures(
     return written
 
 
-def picture(records: Sequence[Record], folder: Path, *, camera: Camera | None = None) -> Figure:
+def usable_painter(wanted: Painter) -> tuple[Literal["pyvista", "matplotlib"], str | None]:
+    """The painter to take, and why it is not pyvista where that was left open.
+
+    Raises:
+        ValueError: It is to be pyvista, but that cannot draw here.
+    """
+    if wanted == "matplotlib":
+        return wanted, None
+    trouble = pyvista_trouble()
+    if trouble is None:
+        return "pyvista", None
+    if wanted == "pyvista":
+        raise ValueError(f"pyvista cannot draw here: {trouble} Or take --painter matplotlib, which needs nothing more.")
+    return "matplotlib", trouble
+
+
+def picture(
+    records: Sequence[Record],
+    folder: Path,
+    *,
+    camera: Camera | None = None,
+    painter: Literal["pyvista", "matplotlib"] = "matplotlib",
+) -> Figure:
     """Rows of before, neural field and mesh, a record each."""
+    draw = paint_with_pyvista if painter == "pyvista" else paint
     camera = camera or Camera(azimuth_of(records, folder))
     figure = Figure(figsize=(8.6, 2.75 * len(records)), layout="constrained")
     grid = figure.subplots(len(records), 3, squeeze=False)
@@ -96,17 +127,17 @@ def picture(records: Sequence[Record], folder: Path, *, camera: Camera | None = 
         limit = colour_limit([views["implicit"], views["mesh"]])
         for axes, (name, view) in zip(row, views.items(), strict=True):
             if name == "before":
-                paint(axes, view, _handle_colours(view, record.case.handles), camera)
+                draw(axes, view, _handle_colours(view, record.case.handles), camera)
                 _draw_motion(axes, view, record, camera)
                 title = f"{record.case.name}, {record.case.operation}"
             else:
                 view = simplified(view, 20_000)
-                paint(axes, view, _error_colours(view, limit), camera)
+                draw(axes, view, _error_colours(view, limit), camera)
                 title = f"{PANES[name]}: {_headline(record, name)}"
             axes.set_title(title, fontsize=8)
         _same_frame(row)
         bar = figure.colorbar(ScalarMappable(Normalize(-limit, limit), COLOURS), ax=list(row[1:]), shrink=0.8, pad=0.01)
-        bar.set_label(_wrapped(record.subject["error_means"]), fontsize=6)
+        bar.set_label(_wrapped(error_label(record)), fontsize=6)
         bar.ax.tick_params(labelsize=6)
     return figure
 
@@ -143,13 +174,16 @@ def _error_colours(view: View, limit: float) -> Float[ndarray, "m 3"]:
 
 
 def _draw_motion(axes: Axes, view: View, record: Record, camera: Camera) -> None:
-    """An arrow for each handle that is moved by a vector."""
+    """An arrow for each handle that is moved by a vector, unless it points so much at the viewer that none is seen."""
     screen = camera.axes()[:2]
+    size = np.ptp(view.V @ screen.T, axis=0).max()
     for k, handle in enumerate(record.case.handles, start=1):
         held = view.V[view.values == k]
         if handle.motion["kind"] == "vector" and not handle.holds and len(held):
             start = screen @ held.mean(axis=0)
             end = start + screen @ np.asarray(handle.motion["vector"]) * float(record.subject["scale"])
+            if np.linalg.norm(end - start) < 0.07 * size:
+                continue
             axes.annotate("", end, start, arrowprops={"arrowstyle": "->", "lw": 1.4}, zorder=5)
 
 

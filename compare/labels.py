@@ -8,21 +8,21 @@ from typing import Any
 from compare.case import Case
 
 
-def labels(cases: Sequence[Case]) -> dict[str, str]:
-    """Of each case, by its key, what tells it from the others of its shape and operation; "" where there is none.
+def labels(cases: Sequence[Case]) -> list[str]:
+    """Of each case what tells it from the others of its shape and operation; "" where nothing does.
 
     Settings are named as in a study: "vertices 500, implicit.points 250".
     """
-    groups: dict[tuple[str, str], list[Case]] = {}
-    for case in cases:
-        groups.setdefault((case.name, case.operation), []).append(case)
-    words = {}
+    groups: dict[tuple[str, str], list[int]] = {}
+    for k, case in enumerate(cases):
+        groups.setdefault((case.name, case.operation), []).append(k)
+    words = [""] * len(cases)
     for group in groups.values():
-        settings = [_settings(case) for case in group]
+        settings = [_settings(cases[k]) for k in group]
         names = dict.fromkeys(name for row in settings for name in row)
         differing = [name for name in names if any(row.get(name) != settings[0].get(name) for row in settings)]
-        for case, row in zip(group, settings, strict=True):
-            words[case.key] = ", ".join(f"{name} {row[name]}" for name in differing if name in row)
+        for k, row in zip(group, settings, strict=True):
+            words[k] = ", ".join(f"{name} {row[name]}" for name in differing if name in row)
     return words
 
 

@@ -7,8 +7,11 @@ For a displacement D of the vertices of the common mesh (V, F):
     killing_notebook          the same summed without areas, a pure number that grows with the resolution
     killing_spokes_and_rims   with a rotation for each vertex, which also feels bending
     volume_drift, area_drift  (after - before) / before; of the field itself for the neural side
+    arap_energy               what as-rigid-as-possible deformation minimises, spokes and rims; charges no rotation
     handle_error              distance of a handle vertex from where it was sent, rms and largest
-    error, strain             see ERROR_MEANS, by operation
+    error, strain             see ERROR_MEANS, by operation: mean, rms, 95th percentile and largest
+
+docs/metrics.md has every number of a record with its formula, unit and source.
 
 Lengths, areas, volumes and energies (a squared length) are in the user's units; names ending in _relative and
 _drift are pure numbers.
@@ -16,6 +19,7 @@ _drift are pure numbers.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
@@ -25,7 +29,7 @@ from numpy import ndarray
 import implicit
 import meshref
 from compare.case import Case
-from compare.operations import Outcome, Wanted
+from compare.operations import Halfway, Outcome, Wanted
 from compare.subject import Subject
 
 FORMS: dict[str, Literal["membrane", "ambient", "notebook", "spokes-and-rims"]] = {
@@ -71,6 +75,7 @@ def measure(
     for name, form in FORMS.items():
         unit = 1.0 if form == "notebook" else scale**2
         row[name] = meshref.killing_energy(V, F, D, form=form) * unit
+    row["arap_energy"] = meshref.arap_energy(V, F, moved) * scale**2
     before, after = meshref.volume(V, F), _volume(moved, F)
     area_before, area_after = meshref.area(V, F), _area(moved, F)
     row |= {
@@ -83,10 +88,8 @@ def measure(
         "displacement_max": float(np.linalg.norm(D, axis=1).max()) * scale,
     }
     weights = meshref.vertex_areas(V, F)
-    if case.operation == "rigid":
-        row |= {"strain_rms": _rms(error, weights), "strain_max": float(np.abs(error).max())}
-    else:
-        row |= {"error_rms": _rms(error, weights) * scale, "error_max": float(np.abs(error).max()) * scale}
+    name, unit = ("strain", 1.0) if case.operation == "rigid" else ("error", scale)
+    row |= {f"{name}_{what}": value * unit for what, value in _statistics(error, weights).items()}
     if wanted.largest > 0:
         miss = np.linalg.norm(D - wanted.displacement, axis=1)[wanted.at]
         rms = _rms(miss, weights[wanted.at])
@@ -97,8 +100,39 @@ def measure(
         }
     if case.operation == "geometric":
         row["error_relative"] = _rms(error, weights) / wanted.largest
-    row |= {"seconds": outcome.seconds, "details": dict(outcome.details)}
-    return row
+    return row | {
+        "seconds": outcome.seconds,
+        "seconds_by_phase": dict(outcome.seconds_by_phase),
+        "peak_memory": outcome.peak_memory,
+        "details": dict(outcome.details),
+    }
+
+
+def curve(subject: Subject, outcome: Outcome, row: Mapping[str, Any]) -> list[dict[str, float]]:
+    """How an edit went on its way, for drawing: a row for the start, and one after each step or for the only solve.
+
+    Of the common mesh carried along; where the editor measured the field itself in every step, of the field.
+
+    Args:
+        subject: What was edited.
+        outcome: Of one editor.
+        row: The measures of its end.
+    """
+    V, F, scale = subject.V, subject.F, subject.scale
+    volume, area = meshref.volume(V, F), meshref.area(V, F)
+    rows = [dict.fromkeys(("step", "seconds", "volume_drift", "area_drift", "killing_energy"), 0.0)]
+    for step, at in enumerate(outcome.path or [Halfway(outcome.displacement, outcome.seconds)], start=1):
+        moved = V + at.displacement
+        now = {
+            "volume_drift": _volume(moved, F) / volume - 1,
+            "area_drift": _area(moved, F) / area - 1,
+            "killing_energy": meshref.killing_energy(V, F, at.displacement) * scale**2,
+        }
+        if at.volume is not None and at.area is not None:
+            now["volume_drift"] = at.volume * scale**3 / row["volume_before"] - 1
+            now["area_drift"] = at.area * scale**2 / row["area_before"] - 1
+        rows.append({"step": float(step), "seconds": at.seconds, **now})
+    return rows
 
 
 def measure_field(subject: Subject, edited: implicit.Field, resolution: int = 64) -> dict[str, float]:
@@ -131,6 +165,20 @@ def between(
         "hausdorff": distance.hausdorff * subject.scale,
         "distance_rms": distance.rms * subject.scale,
         "normal_consistency": distance.normal_consistency,
+        "iou": meshref.iou(*first, *second, seed=seed),
+    }
+
+
+def _statistics(values: Float[ndarray, " n"], weights: Float[ndarray, " n"]) -> dict[str, float]:
+    """Of a number a vertex: mean and rms over the area, the magnitude that 95 % of the area stay below, the largest."""
+    size = np.abs(values)
+    order = np.argsort(size)
+    share = np.cumsum(weights[order]) / weights.sum()
+    return {
+        "mean": float(np.average(values, weights=weights)),
+        "rms": _rms(values, weights),
+        "p95": float(size[order][np.searchsorted(share, 0.95)]),
+        "max": float(size.max()),
     }
 
 

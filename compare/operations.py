@@ -11,8 +11,8 @@ Both start from the common mesh of the subject and give a displacement of its ve
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field as default
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field as default, replace
 from threading import Lock
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,7 @@ from numpy import ndarray
 import implicit
 import meshref
 from compare.case import Case
+from compare.memory import with_peak_memory
 from compare.subject import Progress, Subject
 
 if TYPE_CHECKING:
@@ -50,6 +51,16 @@ class Wanted:
 
 
 @dataclass(frozen=True, eq=False)
+class Halfway:
+    """How far an editor had come after one of its steps."""
+
+    displacement: Float[ndarray, "n 3"]  # of the vertices of the common mesh since the start
+    seconds: float  # since the start
+    volume: float | None = None  # of the field itself, where the editor measures it in every step
+    area: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class Outcome:
     """What one editor made of a case."""
 
@@ -59,6 +70,9 @@ class Outcome:
     complete: bool  # whether it did all that was asked
     seconds: float
     field: Field | None = None  # the edited field, of the neural editor
+    seconds_by_phase: Mapping[str, float] = default(default_factory=dict)  # as docs/metrics.md has them
+    path: Sequence[Halfway] = ()  # after each step, of an editor that takes steps
+    peak_memory: float | None = None  # megabytes, see compare.memory
     details: Mapping[str, Any] = default(default_factory=dict)
 
 
@@ -92,6 +106,24 @@ def wanted_motion(case: Case, subject: Subject) -> Wanted:
         number_of[inside] = number
     at = np.ones(len(subject.V), dtype=bool) if case.operation == "geometric" else number_of > 0
     return Wanted(number_of, at, displacement)
+
+
+def edit_by_all(case: Case, subject: Subject, wanted: Wanted, progress: Progress | None = None) -> dict[str, Outcome]:
+    """The case by every editor that has its operation: "implicit", "mesh", and a second mesh method beside them."""
+    editors: dict[str, Callable[[], Outcome | None]] = {
+        "implicit": lambda: edit_field(case, subject, progress),
+        "mesh": lambda: edit_mesh(case, subject, wanted, progress),
+    }
+    if case.operation == "rigid":
+        editors["mesh, ARAP"] = lambda: edit_mesh_by_arap(case, subject, wanted)
+    if case.operation == "geometric":
+        editors["mesh, biharmonic"] = lambda: edit_mesh_by_biharmonic(case, subject, wanted)
+    sides = {}
+    for name, editor in editors.items():
+        outcome, peak = with_peak_memory(editor)
+        if outcome is not None:
+            sides[name] = replace(outcome, peak_memory=peak)
+    return sides
 
 
 def edit_field(case: Case, subject: Subject, progress: Progress | None = None) -> Outcome:
@@ -130,7 +162,17 @@ def edit_field(case: Case, subject: Subject, progress: Progress | None = None) -
         error = error[torch.isfinite(error)]
         details |= {"error_field_rms": float(error.square().mean().sqrt()), "error_field_max": float(error.abs().max())}
     done = edit.status in (implicit.EditStatus.DONE, implicit.EditStatus.REACHED)
-    return Outcome(displacement, method[case.operation], edit.status.value, done, seconds, edit.field, details)
+    return Outcome(
+        displacement,
+        method[case.operation],
+        edit.status.value,
+        done,
+        seconds,
+        field=edit.field,
+        seconds_by_phase=_phases(edit, seconds),
+        path=_path(edit, subject, seconds),
+        details=details,
+    )
 
 
 def edit_mesh(case: Case, subject: Subject, wanted: Wanted, progress: Progress | None = None) -> Outcome:
@@ -141,7 +183,7 @@ def edit_mesh(case: Case, subject: Subject, wanted: Wanted, progress: Progress |
     if case.operation == "geometric":
         return Outcome(wanted.displacement, "vertices moved as wanted", "Every vertex is moved as wanted.", True, 0.0)
     if case.operation == "smooth":
-        options = {"method": "conformalised", "preserve_volume": "rescale", **options}
+        options = {"method": "conformalised", "preserve_volume": "rescale", **options, "snapshot_every": 1}
         flow = meshref.mean_curvature_flow(
             subject.V,
             subject.F,
@@ -151,16 +193,23 @@ def edit_mesh(case: Case, subject: Subject, wanted: Wanted, progress: Progress |
             **options,
         )
         seconds = perf_counter() - start
-        method = f"{options['method']} curvature flow, volume kept"
-        done, details = flow.status is meshref.FlowStatus.FINISHED, {"steps": flow.steps_taken}
-        return Outcome(flow.V - subject.V, method, flow.status.value, done, seconds, None, details)
+        return Outcome(
+            flow.V - subject.V,
+            f"{options['method']} curvature flow{', volume kept' if options['preserve_volume'] else ''}",
+            flow.status.value,
+            flow.status is meshref.FlowStatus.FINISHED,
+            seconds,
+            seconds_by_phase={"steps": seconds},
+            path=[
+                Halfway(V - subject.V, row.seconds) for V, row in zip(flow.snapshots[1:], flow.history[1:], strict=True)
+            ],
+            details={"steps": flow.steps_taken},
+        )
     handles = np.flatnonzero(wanted.at)
     result = meshref.killing(subject.V, subject.F, handles, wanted.displacement[handles], **options)
     seconds, done = perf_counter() - start, result.status is meshref.KillingStatus.SOLVED
     method = "Killing least squares"
-    return Outcome(
-        result.displacement, method, result.status.value, done, seconds, None, {"seconds": dict(result.seconds)}
-    )
+    return Outcome(result.displacement, method, result.status.value, done, seconds, seconds_by_phase=result.seconds)
 
 
 def edit_mesh_by_arap(case: Case, subject: Subject, wanted: Wanted) -> Outcome:
@@ -169,8 +218,15 @@ def edit_mesh_by_arap(case: Case, subject: Subject, wanted: Wanted) -> Outcome:
     start = perf_counter()
     result = meshref.arap(subject.V, subject.F, handles, subject.V[handles] + wanted.displacement[handles])
     seconds, done = perf_counter() - start, result.status is meshref.ArapStatus.CONVERGED
-    details = {"iterations": result.iterations}
-    return Outcome(result.V - subject.V, "ARAP", result.status.value, done, seconds, None, details)
+    return Outcome(
+        result.V - subject.V,
+        "ARAP",
+        result.status.value,
+        done,
+        seconds,
+        seconds_by_phase=result.seconds,
+        details={"iterations": result.iterations},
+    )
 
 
 def edit_mesh_by_biharmonic(case: Case, subject: Subject, wanted: Wanted) -> Outcome | None:
@@ -187,7 +243,25 @@ def edit_mesh_by_biharmonic(case: Case, subject: Subject, wanted: Wanted) -> Out
     start = perf_counter()
     result = meshref.biharmonic(subject.V, subject.F, held, wanted.displacement[held])
     seconds, done = perf_counter() - start, result.status is meshref.BiharmonicStatus.SOLVED
-    return Outcome(result.displacement, "biharmonic", result.status.value, done, seconds)
+    return Outcome(
+        result.displacement, "biharmonic", result.status.value, done, seconds, seconds_by_phase={"solve": seconds}
+    )
+
+
+def _phases(edit: Edit, seconds: float) -> dict[str, float]:
+    """Where the seconds of a neural edit went: the least squares and their trials, the rest of the steps, the rest."""
+    solves = sum(row["seconds_solve"] for row in edit.history)
+    steps = sum(row["seconds"] for row in edit.history)
+    return {"setup": seconds - steps, "solve": solves, "assembly": steps - solves}
+
+
+def _path(edit: Edit, subject: Subject, seconds: float) -> list[Halfway]:
+    before = seconds - sum(row["seconds"] for row in edit.history)  # sampling and checks come first, for the most part
+    clock = before + np.cumsum([row["seconds"] for row in edit.history])
+    return [
+        Halfway(points.double().numpy() - subject.V, float(now), row.get("volume"), row.get("area"))
+        for points, now, row in zip(edit.trail, clock, edit.history, strict=True)
+    ]
 
 
 def _teller(progress: Progress | None, what: str) -> Callable[[int, int, Mapping[str, Any]], None]:

@@ -1,15 +1,15 @@
 """One HTML file that shows a run: it opens offline and holds all it needs.
 
 Each case has three views in 3D, before, neural field and mesh, whose cameras move together, with one colour range
-about zero. A browser keeps about 16 drawing contexts, so views are made when they scroll into sight and dropped when
-they leave it.
+about zero, and its curves over the steps. A browser keeps about 16 drawing contexts, so views are made when they scroll
+into sight, for the nearest few cases at a time, and dropped when they leave it. The files of the run folder are linked
+beside each case.
 """
 
 from __future__ import annotations
 
 import base64
 import hashlib
-import html
 import json
 from collections.abc import Sequence
 from os import PathLike
@@ -19,12 +19,25 @@ from typing import Any
 
 import numpy as np
 
+from compare.labels import labels
 from compare.records import Record, plain, replace_file
-from compare.table import COLUMNS, lines, text
+from compare.report_parts import (
+    CHARTS,
+    curves_of,
+    failures_of,
+    section_of,
+    seen_from,
+    summary_of,
+    table_of,
+)
 
-# Bytes of a face with its share of vertices, all three views of a case, in base64; and what a report may use of them.
-BYTES_PER_FACE = 45
-BUDGET = 4_000_000
+# Bytes of a face in all three views of a case: 3 corners of 2 bytes, half a vertex of 12 and a value of 4, in base64;
+# and what a report may use of them.
+BYTES_PER_FACE = 56
+BUDGET = 3_600_000
+
+# Faces of a view: more cannot be told apart in a pane, and with fewer a shape is no longer itself.
+MOST_FACES, LEAST_FACES = 20_000, 1000
 
 # The page has one light, from the upper front, so shapes are turned to show it the side that counts.
 AZIMUTH = 25.0
@@ -33,10 +46,14 @@ AZIMUTH = 25.0
 def report(records: Sequence[Record], path: str | PathLike[str], *, folder: str | PathLike[str] | None = None) -> Path:
     """Write the report of some records.
 
+    The page stays below 10 MB: views get coarser the more cases there are, and beyond 64 cases the later ones have
+    their row, curves and files, but no views. Cases without meshes have a row and curves.
+
     Args:
         records: Of a run, failed ones among them.
         path: The HTML file, replaced if it is there.
-        folder: The run folder that holds their meshes; None is where the report goes.
+        folder: The run folder that holds their meshes; None is where the report goes. Files are linked relative to the
+            page, so the two are to be moved together.
 
     Returns:
         The path.
@@ -51,16 +68,28 @@ def report(records: Sequence[Record], path: str | PathLike[str], *, folder: str 
     folder = path.parent if folder is None else Path(folder)
     page = Template((Path(__file__).parent / "report.html").read_text(encoding="utf-8"))
     arrays: dict[str, str] = {}
-    drawn = [r for r in records if r.artefacts]
-    faces = int(np.clip(BUDGET / BYTES_PER_FACE / max(len(drawn), 1), 1000, 20_000))
-    scenes = [_scene(record, folder, faces, arrays, azimuth) for record, azimuth in _looks(drawn, folder)]
+    done = [r for r in records if not r.failed]
+    drawn = [r for r in done if r.artefacts][: BUDGET // (BYTES_PER_FACE * LEAST_FACES)]
+    faces = int(np.clip(BUDGET / BYTES_PER_FACE / max(len(drawn), 1), LEAST_FACES, MOST_FACES))
+    views = {r.key: _scene(r, folder, faces, arrays, azimuth) for r, azimuth in _looks(drawn, folder)}
+    base = seen_from(path, folder)
     content = page.substitute(
         plotly=_plotly(),
-        summary=_summary(records),
-        table=_table(records),
-        cases="\n".join(_section(record, k) for k, record in enumerate(drawn)),
-        failures=_failures(records),
-        data=_script_json({"scenes": scenes, "arrays": arrays, "colours": _colour_scale()}),
+        summary=summary_of(records, base),
+        table=table_of(done),
+        cases="\n".join(
+            section_of(record, k, setting, base, record.key in views)
+            for k, (record, setting) in enumerate(zip(done, labels([r.case for r in done]), strict=True))
+        ),
+        failures=failures_of(records),
+        data=_script_json(
+            {
+                "cases": [{"views": views.get(r.key), "curves": curves_of(r)} for r in done],
+                "charts": CHARTS,
+                "arrays": arrays,
+                "colours": _colour_scale(),
+            }
+        ),
     )
     replace_file(path, content.encode("utf-8"))
     return path
@@ -112,70 +141,6 @@ def _keep(arrays: dict[str, str], array: np.ndarray) -> str:
     name = hashlib.sha256(content).hexdigest()[:12]
     arrays[name] = base64.b64encode(content).decode()
     return name
-
-
-def _section(record: Record, number: int) -> str:
-    case, scale = record.case, record.subject["scale"]
-    notes = "".join(f"<li>{html.escape(note)}</li>" for note in [record.status, *record.notes])
-    settings = html.escape(json.dumps(plain(case.to_dict()), indent=1))
-    origin = html.escape(json.dumps(plain(record.provenance), indent=1))
-    panes = "".join(
-        f'<figure><div class="pane" data-pane="{name}"></div><figcaption>{html.escape(title)}</figcaption></figure>'
-        for name, title in _pane_titles(record).items()
-    )
-    means = html.escape(record.subject["error_means"])
-    unit = "a pure number" if case.operation == "rigid" else "in the shape's unit of length"
-    return f"""<section class="case" id="case-{number}" data-case="{number}">
-<h2>{html.escape(case.name)}: {html.escape(case.operation)}</h2>
-<div class="panes">{panes}</div>
-<div class="bar"><span class="low"></span><span class="gradient"></span><span class="high"></span>
-<span class="means">{means}, {unit}</span></div>
-<ul>{notes}</ul>
-<details><summary>Settings and origin</summary>
-<p>Handles are in the field's coordinates; one unit of them is {scale:.6g} of the shape's own.</p>
-<pre>{settings}</pre><pre>{origin}</pre></details>
-</section>"""
-
-
-def _pane_titles(record: Record) -> dict[str, str]:
-    held = any(handle.holds for handle in record.case.handles)
-    before = "before" if not record.case.handles else f"before; orange moves{', blue is held' if held else ''}"
-    return {
-        "before": before,
-        "implicit": f"neural field: {record.sides['implicit']['method']}",
-        "mesh": f"mesh: {record.sides['mesh']['method']}",
-    }
-
-
-def _table(records: Sequence[Record]) -> str:
-    head = "".join(f'<th class="number" title="{html.escape(c.explains)}">{html.escape(c.title)}</th>' for c in COLUMNS)
-    body = []
-    for record in records:
-        for shape, operation, side, method, values in lines(record):
-            words = "".join(f"<td>{html.escape(word)}</td>" for word in (shape, operation, side, method))
-            numbers = "".join(
-                f'<td class="number" data-value="{"" if value is None else repr(float(value))}">{text(value, c)}</td>'
-                for value, c in zip(values, COLUMNS, strict=True)
-            )
-            body.append(f"<tr>{words}{numbers}</tr>")
-    names = "<th>shape</th><th>edit</th><th>by</th><th>method</th>"
-    return f'<table id="results"><thead><tr>{names}{head}</tr></thead><tbody>{"".join(body)}</tbody></table>'
-
-
-def _failures(records: Sequence[Record]) -> str:
-    failed = [r for r in records if r.failed]
-    rows = "".join(
-        f"<li>{html.escape(r.case.name)}, {html.escape(r.case.operation)}: {html.escape(r.status)}</li>" for r in failed
-    )
-    return f"<h2>Failed</h2><ul>{rows}</ul>" if failed else ""
-
-
-def _summary(records: Sequence[Record]) -> str:
-    origin = records[0].provenance
-    shapes = {r.case.name for r in records}
-    words = f"{len(records)} cases on {len(shapes)} shapes; {origin.get('time', '')}, {origin.get('processor', '')}, "
-    words += f"{origin.get('threads', '')} threads, Python {origin.get('python', '')}."
-    return html.escape(words)
 
 
 def _colour_scale() -> list[tuple[float, str]]:

@@ -18,16 +18,8 @@ import implicit
 import meshref
 from compare import records
 from compare.case import Case
-from compare.measure import ERROR_MEANS, between, error_field, measure, measure_field, strain
-from compare.operations import (
-    Outcome,
-    Wanted,
-    edit_field,
-    edit_mesh,
-    edit_mesh_by_arap,
-    edit_mesh_by_biharmonic,
-    wanted_motion,
-)
+from compare.measure import ERROR_MEANS, between, curve, error_field, measure, measure_field
+from compare.operations import Outcome, Wanted, edit_by_all, wanted_motion
 from compare.provenance import provenance
 from compare.records import Artefact, Record
 from compare.subject import Progress, Subject, describe, prepare_subject
@@ -60,20 +52,11 @@ def run_case(
     folder = None if folder is None else Path(folder)
     subject = prepare_subject(case, folder=folder, progress=progress)
     wanted = wanted_motion(case, subject)
-    sides = {
-        "implicit": edit_field(case, subject, progress),
-        "mesh": edit_mesh(case, subject, wanted, progress),
-    }
+    sides = edit_by_all(case, subject, wanted, progress)
     errors = {
-        "implicit": error_field(case, subject, wanted, sides["implicit"], sides["mesh"]),
-        "mesh": error_field(case, subject, wanted, sides["mesh"], sides["implicit"]),
+        name: error_field(case, subject, wanted, side, sides["mesh" if name == "implicit" else "implicit"])
+        for name, side in sides.items()
     }
-    if case.operation == "rigid":
-        sides["mesh, ARAP"] = edit_mesh_by_arap(case, subject, wanted)
-        errors["mesh, ARAP"] = strain(subject, sides["mesh, ARAP"].displacement)
-    if case.operation == "geometric" and (smooth := edit_mesh_by_biharmonic(case, subject, wanted)) is not None:
-        sides["mesh, biharmonic"] = smooth
-        errors["mesh, biharmonic"] = error_field(case, subject, wanted, smooth, sides["implicit"])
 
     start = perf_counter()
     rows = {name: measure(case, subject, wanted, side, errors[name]) for name, side in sides.items()}
@@ -82,6 +65,8 @@ def run_case(
     result = implicit.extract_mesh(edited, case.resolution)
     rows["implicit"] |= measure_field(subject, edited)
     rows["implicit"]["bodies"] = meshref.component_count(*result)
+    for name, side in sides.items():
+        rows[name]["curve"] = curve(subject, side, rows[name])
     distances = between(subject, result, (subject.V + sides["mesh"].displacement, subject.F), case.seed)
     seconds = {**subject.seconds, "measures": perf_counter() - start}
 

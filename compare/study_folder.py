@@ -4,7 +4,7 @@ study.json     the study's own copy of its settings, the hashes of its shapes, a
 results.jsonl  a row for each case that has been run
 table.csv      the numbers, a line for each case and method
 chart.png/pdf  its curves
-report.html    everything in 3D, with fields/ and meshes/, where they are kept
+report.html    every case with its curves, and in 3D, with fields/ and meshes/, where they are kept
 """
 
 from __future__ import annotations
@@ -146,16 +146,14 @@ def finished(folder: Path) -> int:
 
 
 def sum_up(study: Study, records: list[Record], folder: Path) -> None:
-    """Write the table, the chart, and the report if there is anything to show in 3D."""
+    """Write the table, the chart and the report."""
     from compare.curves import draw_charts, write_table
+    from compare.report import report
 
     write_table(study, records, folder / "table.csv")
     if study.charts:
         draw_charts(study, records, folder / "chart")
-    if any(record.artefacts for record in records):
-        from compare.report import report
-
-        report(records, folder / "report.html")
+    report(records, folder / "report.html")
 
 
 def _begin(study: Study, folder: Path) -> Begun:

@@ -22,6 +22,9 @@ class Column:
 
 SIDES = {"implicit": "neural", "mesh": "mesh", "mesh, ARAP": "ARAP", "mesh, biharmonic": "biharmonic"}
 
+# Of a side's line in every chart; Okabe and Ito's, told apart with any kind of colour vision.
+SIDE_COLOURS = {"implicit": "#0072b2", "mesh": "#d55e00", "mesh, ARAP": "#009e73", "mesh, biharmonic": "#cc79a7"}
+
 COLUMNS = (
     Column(
         "killing_energy", "Killing", "Killing energy: integral of |P(J+J')P|² over the common mesh, a squared length"
@@ -41,6 +44,7 @@ COLUMNS = (
     ),
     Column("strain_rms", "strain", "rms of the local linear strain, for rigid edits", True, False),
     Column("seconds", "s", "seconds of the editor alone"),
+    Column("peak_memory", "MB", "peak memory of the editor, megabytes", False, False),
 )
 
 
@@ -57,7 +61,8 @@ def text(value: float | None, column: Column) -> str:
         if abs(value) < 1e-9:  # rounding of the sums, no finding
             return "0 %"
         return f"{100 * value:{'+' if column.name.endswith('_drift') else ''}.2g} %"
-    return f"{value:.1f}" if column.name == "seconds" else f"{value:.3g}"
+    digits = {"seconds": ".1f", "peak_memory": ".0f"}.get(column.name, ".3g")
+    return f"{value:{digits}}"
 
 
 def lines(record: Record) -> list[tuple[str, str, str, str, list[float | None]]]:
@@ -72,3 +77,9 @@ def lines(record: Record) -> list[tuple[str, str, str, str, list[float | None]]]
         )
         for side, row in record.sides.items()
     ]
+
+
+def error_label(record: Record) -> str:
+    """What the colours of a record mean, with the unit."""
+    unit = "a pure number" if record.case.operation == "rigid" else "in the shape's unit of length"
+    return f"{record.subject['error_means']}, {unit}"

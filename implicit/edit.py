@@ -50,6 +50,7 @@ class Edit:
         displacement: Of the starting points, to the end (I, D), a length.
         wanted: Displacement asked for at the starting points (I, D); NaN where nothing was asked.
         tracked: Where the `track` points of the caller ended (M, D), or None.
+        trail: Where they were after each step, (M, D) each; the last is `tracked`. Empty without them.
         history: One row a step: energies, constraint values, residuals, step norms, seconds.
         status: How it ended.
         seconds: Wall time.
@@ -66,6 +67,7 @@ class Edit:
     displacement: Float[Tensor, "i d"]
     wanted: Float[Tensor, "i d"]
     tracked: Float[Tensor, "m d"] | None
+    trail: tuple[Float[Tensor, "m d"], ...]
     history: list[Row]
     status: EditStatus
     seconds: float

@@ -77,6 +77,7 @@ def evolve(
     )
     own = len(start.points)
     history: list[Row] = []
+    trail: list[Tensor] = []
     status = EditStatus.DONE
     for step in range(steps):
         clock = time.perf_counter()
@@ -89,12 +90,14 @@ def evolve(
             status = taken
             break
         field, carried, row = taken
+        trail.append(carried[own:])
         row = {"step": step + 1, **row, "seconds": time.perf_counter() - clock}
         history.append(row)
         if progress is not None:
             progress(step + 1, steps, row)
     if history:
         field, carried = loop.polish(field, carried, history[-1])
+        trail[-1] = carried[own:]
     edit = Edit(
         field=field,
         points=start.points,
@@ -103,6 +106,7 @@ def evolve(
         displacement=carried[:own] - start.points,
         wanted=torch.full_like(start.points, float("nan")) if wanted is None else wanted,
         tracked=None if track is None else carried[own:],
+        trail=() if track is None else tuple(trail),
         history=history,
         status=status,
         seconds=time.perf_counter() - began,

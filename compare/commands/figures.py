@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -24,19 +25,30 @@ class Figures:
     """Which kinds."""
     azimuth: float | None = None
     """Degrees about the y axis, from where to look; by default where most of what moves is seen."""
+    painter: Literal["auto", "pyvista", "matplotlib"] = "auto"
+    """What paints: pyvista draws smoother, but needs the extra `figures` and OpenGL; auto takes it where it can."""
 
 
 def figures(command: Figures) -> int:
     """Paint the pictures from the rows and meshes that are there."""
-    from compare.figures import Camera, draw_figures
+    from compare.figures import Camera, draw_figures, usable_painter
 
     camera = None if command.azimuth is None else Camera(command.azimuth)
     try:
+        records = latest(command.folder)
+        painter, reason = usable_painter(command.painter)
         written = draw_figures(
-            latest(command.folder), command.folder, output=command.output, formats=command.formats, camera=camera
+            records,
+            command.folder,
+            output=command.output,
+            formats=command.formats,
+            camera=camera,
+            painter=painter,
         )
     except (FileNotFoundError, ValueError) as error:
         raise InputError(str(error)) from error
+    if reason is not None:
+        print(f"Painted by matplotlib: {reason}", file=sys.stderr)
     for path in written:
         print(path)
     return 0

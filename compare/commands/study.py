@@ -60,7 +60,7 @@ def study(command: Study) -> int:
 
         def on_plan(cases: list[Case], there: int) -> None:
             nonlocal total, label
-            label = labels(cases)
+            label = dict(zip((case.key for case in cases), labels(cases), strict=True))
             total = add_task(bars, chosen.name, len(cases), there)
 
         def on_record(record: Record) -> None:

@@ -9,8 +9,8 @@ import implicit
 import implicit.shapes
 import meshref
 from compare import Case, HandleSpec
-from compare.measure import between, error_field, measure, measure_field, strain
-from compare.operations import Outcome, wanted_motion
+from compare.measure import between, curve, error_field, measure, measure_field, strain
+from compare.operations import Halfway, Outcome, wanted_motion
 from compare.subject import Subject
 
 EVERYWHERE = {"kind": "halfspace", "point": [0.0, 0.0, -9.0], "normal": [0.0, 0.0, 1.0]}
@@ -47,6 +47,65 @@ def test_growing_a_sphere_has_the_energy_volume_and_area_of_the_formula():
     assert row["handle_error_max"] == pytest.approx(0, abs=1e-8)
 
 
+def test_scaling_costs_eight_areas_of_killing_and_six_of_arap():
+    """d = a x: J = a I, so |P (J + J') P|^2 = 8 a^2, and each face is in three cells with the edges' 2 a^2 A."""
+    subject, a = unit_sphere(), 0.1
+    row = measured(grow(a), subject, a * subject.V)
+    area = meshref.area(subject.V, subject.F)
+    assert row["killing_energy"] == pytest.approx(8 * a**2 * area, rel=1e-12)
+    assert row["killing_spokes_and_rims"] == pytest.approx(8 * a**2 * area, rel=1e-10)
+    assert row["killing_ambient"] == pytest.approx(8 * a**2 * area, rel=1e-12)
+    assert row["killing_notebook"] == pytest.approx(8 * a**2 * len(subject.F), rel=1e-12)
+    assert row["arap_energy"] == pytest.approx(6 * a**2 * area, rel=1e-10)
+
+
+def test_a_finite_turn_costs_no_arap_energy_but_linear_energy_of_fourth_order():
+    """x -> R x by the angle t: J + J' = R + R' - 2 I, which is -2 (1 - cos t) times the projector along two axes."""
+    subject, t = unit_sphere(), 0.5
+    turned = subject.V @ np.array([[np.cos(t), -np.sin(t), 0], [np.sin(t), np.cos(t), 0], [0, 0, 1]]).T
+    row = measured(grow(0.1), subject, turned - subject.V)
+    assert row["arap_energy"] < 1e-20
+    assert row["volume_drift"] == pytest.approx(0, abs=1e-13)
+    # |P Z P|^2 with Z = I - e e' is 1 + (e.n)^4, whose mean over the sphere is 6/5.
+    assert row["killing_energy"] == pytest.approx((2 * (1 - np.cos(t))) ** 2 * 4 * np.pi * 6 / 5, rel=5e-3)
+
+
+def test_statistics_of_an_error_are_those_over_the_area():
+    """By Archimedes, z is spread evenly over a sphere: mean 0, mean square 1/3, and |z| stays below 0.95 on 95 %."""
+    subject = unit_sphere()
+    case, still = Case("spot", "smooth"), np.zeros_like(subject.V)
+    own = Outcome(0.1 * subject.V[:, 2:] * subject.V, "by hand", "Done.", True, 0.0)
+    wanted = wanted_motion(case, subject)
+    error = error_field(case, subject, wanted, own, Outcome(still, "by hand", "Done.", True, 0.0))
+    row = measure(case, subject, wanted, own, error)
+    assert row["error_mean"] == pytest.approx(0, abs=1e-12)
+    assert row["error_rms"] == pytest.approx(0.1 / 3**0.5, rel=2e-3)
+    assert row["error_p95"] == pytest.approx(0.095, rel=0.01)
+    assert row["error_max"] == pytest.approx(0.1, rel=1e-9)
+
+
+def test_a_curve_has_the_formula_at_every_step_and_the_field_where_it_was_measured():
+    """Growing in two steps, the second measured on the field itself; scale 10, so a field's volume is 1000 times."""
+    subject, a = unit_sphere(10.0), 0.2
+    half, whole = Halfway(a / 2 * subject.V, 1.0), Halfway(a * subject.V, 3.0, volume=4.0, area=5.0)
+    outcome = Outcome(a * subject.V, "by hand", "Done.", True, 3.0, path=[half, whole])
+    start, middle, end = curve(subject, outcome, {"volume_before": 2000.0, "area_before": 200.0})
+    assert set(start.values()) == {0.0}
+    assert middle["volume_drift"] == pytest.approx((1 + a / 2) ** 3 - 1, rel=1e-12)
+    assert middle["area_drift"] == pytest.approx((1 + a / 2) ** 2 - 1, rel=1e-12)
+    area = meshref.area(subject.V, subject.F)
+    assert middle["killing_energy"] == pytest.approx(8 * (a / 2) ** 2 * 100 * area, rel=1e-12)
+    assert (end["step"], end["seconds"], end["volume_drift"], end["area_drift"]) == (2.0, 3.0, 1.0, 1.5)
+
+
+def test_an_editor_that_solves_once_has_a_curve_of_two_points():
+    subject = unit_sphere()
+    outcome = Outcome(0.1 * subject.V, "by hand", "Done.", True, 2.0)
+    rows = curve(subject, outcome, {})
+    assert [row["seconds"] for row in rows] == [0.0, 2.0]
+    assert rows[1]["volume_drift"] == pytest.approx(1.1**3 - 1, rel=1e-12)
+
+
 def test_an_edit_that_goes_half_way_has_half_the_error():
     subject = unit_sphere()
     row = measured(grow(0.1), subject, 0.05 * subject.V)
@@ -64,6 +123,9 @@ def test_numbers_are_in_the_users_units():
         "displacement_max": 1,
         "killing_energy": 2,
         "killing_ambient": 2,
+        "arap_energy": 2,
+        "error_mean": 1,
+        "error_p95": 1,
         "area_after": 2,
         "volume_before": 3,
         "volume_after": 3,
@@ -122,4 +184,6 @@ def test_the_distance_between_two_spheres_is_the_difference_of_radii():
     V, F = subject.V, subject.F
     row = between(subject, (V, F), (1.2 * V, F), seed=0)
     assert row["chamfer"] == pytest.approx(2.0, rel=5e-3)
+    assert row["hausdorff"] == pytest.approx(2.0, rel=5e-3)
+    assert row["iou"] == pytest.approx(1.2**-3, abs=0.01)
     assert row["normal_consistency"] == pytest.approx(1, abs=5e-3)

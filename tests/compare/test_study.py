@@ -252,13 +252,12 @@ def test_cases_are_told_apart_by_the_settings_in_which_they_differ():
         Case("spot", "smooth", parameters={"steps": 1, "implicit": {"points": points}}, seed=seed)
         for points, seed in ((50, 0), (60, 0), (50, 1))
     )
-    words = labels([few, many, other])
-    assert words[few.key] == "implicit.points 50, seed 0"
-    assert words[other.key] == "implicit.points 50, seed 1"
-    assert labels([few, dataclasses.replace(few, shape="cactus")]) == {
-        few.key: "",
-        dataclasses.replace(few, shape="cactus").key: "",
-    }
+    assert labels([few, many, other]) == [
+        "implicit.points 50, seed 0",
+        "implicit.points 60, seed 0",
+        "implicit.points 50, seed 1",
+    ]
+    assert labels([few, dataclasses.replace(few, shape="cactus")]) == ["", ""]
 
 
 STUDY = parse_study(

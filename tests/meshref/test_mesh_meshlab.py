@@ -15,6 +15,7 @@ from meshref import (
     icosphere,
     isotropic_remesh,
     laplacian_smooth,
+    surface_distance,
     taubin_smooth,
     volume,
 )
@@ -55,6 +56,16 @@ def test_distances_agree_with_ours_both_ways():
     assert theirs.max_2_to_1 == pytest.approx(0.7, rel=1e-5)
     assert theirs.max_1_to_2 < 0.6
     assert theirs.hausdorff == pytest.approx(hausdorff(*box(), bump, F), rel=1e-5)
+
+
+def test_mean_distances_of_two_ellipsoids_agree_with_ours():
+    """Theirs and ours are means over their own random points, so they agree to the noise of some ten thousand."""
+    V, F = icosphere(4)
+    one, two = V * [1.0, 1.2, 0.8], V * [1.1, 1.0, 0.9] + np.array([0.1, 0.0, 0.0])
+    theirs, ours = hausdorff_distance(one, F, two, F), surface_distance(one, F, two, F, n=20_000)
+    assert theirs.mean_1_to_2 == pytest.approx(ours.mean_1_to_2, rel=0.03)
+    assert theirs.mean_2_to_1 == pytest.approx(ours.mean_2_to_1, rel=0.03)
+    assert theirs.hausdorff == pytest.approx(ours.hausdorff, rel=0.02)
 
 
 def test_bad_requests_are_refused():

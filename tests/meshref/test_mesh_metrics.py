@@ -74,6 +74,23 @@ def test_overlap_of_shifted_boxes():
     assert iou(*one, *box((5, 5, 5), (6, 6, 6)), n=50_000) == 0
 
 
+@pytest.mark.parametrize("apart", [0.5, 1.0, 1.5])
+def test_the_overlap_of_two_balls_is_that_of_their_lens(apart):
+    """Unit balls at the distance d share pi (4 + d) (2 - d)^2 / 12."""
+    V, F = icosphere(4)
+    lens = np.pi * (4 + apart) * (2 - apart) ** 2 / 12
+    exact = lens / (2 * 4 / 3 * np.pi - lens)
+    assert iou(V, F, V + np.array([apart, 0, 0]), F, n=100_000) == pytest.approx(exact, abs=0.006)
+
+
+def test_normals_of_two_planes_agree_by_the_cosine_between_them():
+    """Two squares that share an edge, one turned about it."""
+    V, F = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]])
+    t = 0.3
+    tilted = V @ np.array([[1, 0, 0], [0, np.cos(t), -np.sin(t)], [0, np.sin(t), np.cos(t)]]).T
+    assert normal_consistency(V, F, tilted, F, n=1000) == pytest.approx(np.cos(t), rel=1e-12)
+
+
 def test_handle_error_is_the_largest_miss():
     D = np.zeros((5, 3))
     D[3] = [1, 0, 0]
