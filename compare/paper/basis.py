@@ -10,11 +10,9 @@ from matplotlib.figure import Figure
 from numpy import ndarray
 
 import implicit
-from compare.figures import Camera
-from compare.paper.panels import panel, surface_view
-from compare.paper.request import Finding, Request
-
-AZIMUTH = {"spot": 300.0}
+from compare.paper.findings import Finding
+from compare.paper.panels import camera_of, colour_bar, panel, surface_view
+from compare.paper.request import Request
 
 
 def draw(request: Request) -> list[Finding]:
@@ -27,7 +25,6 @@ def draw(request: Request) -> list[Finding]:
     findings = []
     for row, shape, subject in zip(grid, shapes, subjects, strict=True):
         name = Path(shape).stem
-        camera = Camera(AZIMUTH.get(name, 30.0))
         sample = implicit.surface_quadrature(subject.field, 48)
         for axes, function in zip(row, implicit.one_weight_per_layer(subject.field, request.seed), strict=False):
             scale = float(function(sample.points).abs().max())
@@ -35,11 +32,14 @@ def draw(request: Request) -> list[Finding]:
             def values(V: ndarray, function: implicit.BasisFunction = function, scale: float = scale) -> ndarray:
                 return np.asarray(function(torch.from_numpy(V)).numpy()) / scale
 
-            panel(axes, surface_view(subject.field, values), camera, 1.0, f"{name}: {function.name}")
+            panel(axes, surface_view(subject.field, values), camera_of(shape), 1.0, f"{name}: {function.name}")
             waves = _wave_number(subject.field, function, sample)
-            what = f"{name}, {function.name}: wave number on the surface"
-            note = "Root of the mean squared surface gradient over the mean square, in radians a unit of length."
-            findings.append(Finding("basis", what, waves, note=note))
+            what = f"{name}, {function.name}: wave number, sqrt(int |grad b|² / int b²) [radians per unit of the field]"
+            findings.append(Finding("basis", what, waves))
+        count = subject.field.theta.numel()
+        what = f"{name}: parameters of the network, 3 hidden layers of 32 sines [count]"
+        findings.append(Finding("basis", what, count, 2273, headline=name == "spot"))
+        colour_bar(figure, list(row), 1.0, "normal motion / largest")
     request.save(figure, "basis")
     return findings
 

@@ -22,8 +22,9 @@ import meshref
 from compare.case import Case, HandleSpec
 from compare.figures import HELD, MOVED, SURFACE, Camera, paint
 from compare.operations import Wanted, wanted_motion
+from compare.paper.findings import Finding
 from compare.paper.panels import panel, same_frame, surface_view
-from compare.paper.request import Finding, Request
+from compare.paper.request import Request
 from compare.subject import Subject
 from compare.views import View
 
@@ -143,11 +144,15 @@ def _findings(bend: _Bend) -> list[Finding]:
     status = bend.free.status.value
     mesh = meshref.volume(bend.arap, F) / meshref.volume(V, F) - 1
     rows = [
-        ("Hausdorff distance to the mesh's ARAP over the box", bend.distance(bend.free), status),
-        ("the same with the volume held", bend.distance(bend.held), bend.held.status.value),
-        ("volume change, neural", bend.volume_change(bend.free), ""),
-        ("volume change, mesh ARAP", mesh, ""),
-        ("volume change, neural, volume held", bend.volume_change(bend.held), ""),
+        ("neural: Hausdorff distance to the mesh's ARAP [of the longest side]", bend.distance(bend.free), status),
+        (
+            "neural, volume held: Hausdorff distance to the mesh's ARAP [of the longest side]",
+            bend.distance(bend.held),
+            bend.held.status.value,
+        ),
+        ("neural: volume, relative change [of that before]", bend.volume_change(bend.free), ""),
+        ("mesh, ARAP: volume, relative change [of that before]", mesh, ""),
+        ("neural, volume held: volume, relative change [of that before]", bend.volume_change(bend.held), ""),
     ]
     return [Finding("rigid_bends", f"{bend.what}: {what}", value, note=note) for what, value, note in rows]
 

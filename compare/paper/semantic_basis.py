@@ -10,12 +10,15 @@ from matplotlib.figure import Figure
 
 import implicit
 from compare.figures import COLOURS, Camera, paint
-from compare.paper.request import Finding, Request
+from compare.paper.findings import Finding
+from compare.paper.panels import colour_bar
+from compare.paper.request import Request
 from compare.views import View
 from implicit import families
 
 PART = "semantic_basis"
 COUNT = 4
+SYMMETRY = "mirror symmetry from side to side, 1 is even and -1 odd [correlation]"
 
 
 def draw(request: Request) -> list[Finding]:
@@ -31,12 +34,11 @@ def draw(request: Request) -> list[Finding]:
     findings = []
     for k in range(COUNT):
         for name, measure in zip(("one chair", "its neighbour"), symmetry, strict=True):
-            findings.append(Finding(PART, f"basis function {k + 1} on {name}: symmetry, 1 is even", float(measure[k])))
+            findings.append(Finding(PART, f"basis function {k + 1} on {name}: {SYMMETRY}", float(measure[k])))
     own = torch.eye(len(model.latents[0]))
     single = torch.stack([implicit.mirror_symmetry(f, s, own) for f, s in zip(fields, samples, strict=True)])
-    findings.append(
-        Finding(PART, "symmetry of the single numbers of the code on both chairs: least", float(single.min()))
-    )
+    what = f"the single numbers of the code, least on both chairs: {SYMMETRY}"
+    findings.append(Finding(PART, what, float(single.min())))
     return findings
 
 
@@ -56,5 +58,6 @@ def _picture(
         for axes, (V, F), u, measure in zip(grid[:, k], meshes, motions, symmetry, strict=True):
             colours = colormaps[COLOURS](Normalize(-limit, limit)(u[F].mean(axis=1)))[:, :3]
             paint(axes, View(V, F, u), colours, camera)
-            axes.set_title(f"function {k + 1}, symmetry {float(measure[k]):.3f}", fontsize=8)
+            axes.set_title(f"function {k + 1}, symmetry {float(measure[k]):.4f}", fontsize=8)
+    colour_bar(figure, list(grid.ravel()), 1.0, "normal motion / its column's 99 % quantile", beyond=True)
     return figure

@@ -10,7 +10,8 @@ import torch
 
 import implicit
 from compare.paper.family_edits import FamilyEdit, chair_leg, leg_ends, longer_wing, uneven_wings, wing_ends
-from compare.paper.request import Finding, Request
+from compare.paper.findings import Finding
+from compare.paper.request import Request
 from compare.spheres import sphere_edit, spheres_near
 from implicit import families
 from implicit.models import DualSdf
@@ -56,21 +57,19 @@ def _both_ways(edit: FamilyEdit, parameter: str) -> list[Finding]:
         asked = float(ways[0].norm())
         change = ends(edit.model, field, 96) - ends(edit.model, edit.field, 96)
         others = max((abs(after[n] - before[n]), n) for n in before if n != parameter)
+        unit = "[of what was asked]"
+        own = (after[parameter] - before[parameter]) / asked
+        counterparts = f"{label}: mean motion of its counterparts, on the extracted mesh {unit}"
+        most = f"{label}: largest change of another parameter of the family {unit}"
         findings += [
-            Finding(PART, f"{label}: seconds", time, note=f"{steps} steps, {status}"),
-            Finding(PART, f"{label}: change of what was grasped, of what was asked", float(change[0]) / asked),
-            Finding(PART, f"{label}: change of its counterparts, of what was asked", float(change[1:].mean()) / asked),
+            Finding(PART, f"{label}: steps [count]", steps, note=status),
+            Finding(PART, f"{label}: time of the edit [s]", time),
             Finding(
-                PART,
-                f"{label}: change of {parameter}, of what was asked",
-                (after[parameter] - before[parameter]) / asked,
+                PART, f"{label}: motion of what was grasped, on the extracted mesh {unit}", float(change[0]) / asked
             ),
-            Finding(
-                PART,
-                f"{label}: largest change of another parameter, of what was asked",
-                others[0] / asked,
-                note=others[1],
-            ),
+            Finding(PART, counterparts, float(change[1:].mean()) / asked),
+            Finding(PART, f"{label}: change of {parameter} of the nearest member of the family {unit}", own),
+            Finding(PART, most, others[0] / asked, note=f"It is {others[1]}.", headline=parameter == "leg_length"),
         ]
     return findings
 

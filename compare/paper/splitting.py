@@ -9,8 +9,9 @@ from matplotlib.figure import Figure
 
 import implicit
 from compare.figures import Camera
+from compare.paper.findings import Finding
 from compare.paper.panels import panel, same_frame, surface_view
-from compare.paper.request import Finding, Request
+from compare.paper.request import Request
 from compare.subject import Subject
 from compare.views import View
 from implicit import Edit, HalfSpace, Handle
@@ -33,13 +34,18 @@ def draw(request: Request) -> list[Finding]:
     dense = implicit.surface_quadrature(subject.field, 48, exact_points=True)
     rms = [_rms(edit, dense) for edit in edits]
     request.save(_picture(subject, handle, edits, rms), "splitting")
+    what, unit = "cactus, the upper half 0.3 aside", "[of the largest wanted]"
     findings = [
-        Finding("splitting", f"rms of the error field in {parts} parts", error, note=edit.status.value)
+        Finding("splitting", f"{what} in {parts} parts: rms of the error field {unit}", error, note=edit.status.value)
         for parts, error, edit in zip(PARTS, rms, edits, strict=False)
     ]
-    chosen = f"rms of the error field in the {len(edits[-1].history)} parts that the edit chose"
-    ratio = Finding("splitting", "error in 1 part over that in 16 parts", rms[0] / rms[len(PARTS) - 1])
-    return [*findings, Finding("splitting", chosen, rms[-1], note=edits[-1].status.value), ratio]
+    chosen = f"{what} in the {len(edits[-1].history)} parts that the edit chose: rms of the error field {unit}"
+    ratio = f"{what}: rms of the error field in 1 part over that in 16 parts [ratio]"
+    return [
+        *findings,
+        Finding("splitting", chosen, rms[-1], note=edits[-1].status.value),
+        Finding("splitting", ratio, rms[0] / rms[len(PARTS) - 1], headline=True),
+    ]
 
 
 def _rms(edit: Edit, dense: implicit.SurfaceSample) -> float:
