@@ -128,6 +128,11 @@ def read(path: str | PathLike[str]) -> list[Record]:
     return records
 
 
+def latest(path: str | PathLike[str]) -> list[Record]:
+    """The last record of each case in a file or run folder, as `read`: a case that failed may have been run again."""
+    return list({record.key: record for record in read(path)}.values())
+
+
 def provenance(seed: int) -> dict[str, Any]:
     """Versions, machine and settings that a number may depend on."""
     import torch
