@@ -143,18 +143,15 @@ def _findings(bend: _Bend) -> list[Finding]:
     V, F = bend.subject.V, bend.subject.F
     status = bend.free.status.value
     mesh = meshref.volume(bend.arap, F) / meshref.volume(V, F) - 1
+    apart, change = "Hausdorff distance to the mesh's ARAP [of the longest side]", "change of volume [of that before]"
     rows = [
-        ("neural: Hausdorff distance to the mesh's ARAP [of the longest side]", bend.distance(bend.free), status),
-        (
-            "neural, volume held: Hausdorff distance to the mesh's ARAP [of the longest side]",
-            bend.distance(bend.held),
-            bend.held.status.value,
-        ),
-        ("neural: volume, relative change [of that before]", bend.volume_change(bend.free), ""),
-        ("mesh, ARAP: volume, relative change [of that before]", mesh, ""),
-        ("neural, volume held: volume, relative change [of that before]", bend.volume_change(bend.held), ""),
+        (f"neural: {apart}", bend.distance(bend.free), status),
+        (f"neural, volume held: {apart}", bend.distance(bend.held), bend.held.status.value),
+        (f"neural: {change}", bend.volume_change(bend.free), ""),
+        (f"neural, volume held: {change}", bend.volume_change(bend.held), ""),
+        (f"mesh, ARAP: {change}", mesh, ""),
     ]
-    return [Finding("rigid_bends", f"{bend.what}: {what}", value, note=note) for what, value, note in rows]
+    return [Finding("rigid_bends", f"{bend.what}; {what}", value, note=note) for what, value, note in rows]
 
 
 def _picture(bends: list[_Bend]) -> Figure:

@@ -51,13 +51,11 @@ def _leg(name: str, edit: FamilyEdit, resolution: int) -> list[Finding]:
     others = float(np.abs(change[1:] / change[0] - 1).max())
     before, after = edit.parameters_before(), edit.parameters_after(result.field)
     shorter = before["leg_length"] - after["leg_length"]
-    label, asked = f"{name}, {edit.name}", "[of what was asked]"
+    label, asked, steps = f"{name}, {edit.name}", "[of what was asked]", len(result.history)
     return [
         Finding(PART, f"{label}: points prescribed, at most [count]", POINTS, "about 100"),
-        Finding(
-            PART, f"{label}: steps [count]", len(result.history), "under 15", result.status.value, name != "deepsdf"
-        ),
-        Finding(PART, f"{label}: rise of its foot on the extracted mesh {asked}", float(change[0]) / wanted),
+        Finding(PART, f"{label}: steps [count]", steps, "under 15", result.status.value, name != "deepsdf"),
+        Finding(PART, f"{label}: rise of its foot, on the mesh {asked}", float(change[0]) / wanted),
         Finding(PART, f"{label}: largest difference of the other three's rise from its own [of its own]", others),
         Finding(
             PART,
@@ -83,12 +81,8 @@ def _wings(name: str, model: families.FamilyModel, resolution: int) -> list[Find
         findings += [
             Finding(PART, f"{label}: steps [count]", len(result.history), paper, result.status.value, headline),
             Finding(PART, f"{label}: rms of what is missed {asked}", missed),
-            Finding(
-                PART, f"{label}: growth of the wing at +x on the extracted mesh {asked}", float(change[0]) / wanted
-            ),
-            Finding(
-                PART, f"{label}: growth of the other wing on the extracted mesh {asked}", float(change[1]) / wanted
-            ),
+            Finding(PART, f"{label}: growth of the wing at +x, on the mesh {asked}", float(change[0]) / wanted),
+            Finding(PART, f"{label}: growth of the other wing, on the mesh {asked}", float(change[1]) / wanted),
         ]
         if edit.name == "one wing longer":
             before, after = edit.parameters_before(), edit.parameters_after(result.field)

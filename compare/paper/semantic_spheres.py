@@ -59,14 +59,12 @@ def _both_ways(edit: FamilyEdit, parameter: str) -> list[Finding]:
         others = max((abs(after[n] - before[n]), n) for n in before if n != parameter)
         unit = "[of what was asked]"
         own = (after[parameter] - before[parameter]) / asked
-        counterparts = f"{label}: mean motion of its counterparts, on the extracted mesh {unit}"
+        counterparts = f"{label}: mean motion of its counterparts, on the mesh {unit}"
         most = f"{label}: largest change of another parameter of the family {unit}"
         findings += [
             Finding(PART, f"{label}: steps [count]", steps, note=status),
             Finding(PART, f"{label}: time of the edit [s]", time),
-            Finding(
-                PART, f"{label}: motion of what was grasped, on the extracted mesh {unit}", float(change[0]) / asked
-            ),
+            Finding(PART, f"{label}: motion of what was grasped, on the mesh {unit}", float(change[0]) / asked),
             Finding(PART, counterparts, float(change[1:].mean()) / asked),
             Finding(PART, f"{label}: change of {parameter} of the nearest member of the family {unit}", own),
             Finding(PART, most, others[0] / asked, note=f"It is {others[1]}.", headline=parameter == "leg_length"),
