@@ -61,6 +61,6 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         print(f"implicit-vs-mesh: {error}", file=sys.stderr)
         code = exits.INPUT
     except KeyboardInterrupt:
-        print("implicit-vs-mesh: interrupted; `run --resume -o FOLDER` goes on with what is done.", file=sys.stderr)
+        print("implicit-vs-mesh: interrupted; `run` and `paper` go on with --resume -o FOLDER.", file=sys.stderr)
         code = exits.INTERRUPTED
     sys.exit(code)

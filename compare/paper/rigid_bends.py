@@ -117,7 +117,7 @@ def arap_along_the_path(subject: Subject, case: Case, steps: int) -> Float[ndarr
 
 def _bent(request: Request, what: str, shape: str, degrees: float) -> _Bend:
     subject = request.subject(shape)
-    steps = 3 if request.quick else STEPS[what]
+    steps = 2 if request.quick else STEPS[what]
     degrees = degrees / 6 if request.quick else degrees
     case = Case(shape, "rigid", turning_handles(subject, what, degrees), seed=request.seed)
     handles = [spec.build() for spec in case.handles]

@@ -49,7 +49,7 @@ def _leg(name: str, edit: FamilyEdit, resolution: int) -> list[Finding]:
     change = leg_ends(edit.model, result.field, resolution) - leg_ends(edit.model, edit.field, resolution)
     wanted = float(ways[0].norm()) / edit.model.scale
     others = float(np.abs(change[1:] / change[0] - 1).max())
-    before, after = edit.parameters_before(), edit.parameters_after(result.field)
+    before, after = edit.parameters_before(), edit.parameters_after(result.field, min(resolution, 96))
     shorter = before["leg_length"] - after["leg_length"]
     label, asked, steps = f"{name}, {edit.name}", "[of what was asked]", len(result.history)
     return [
@@ -85,7 +85,7 @@ def _wings(name: str, model: families.FamilyModel, resolution: int) -> list[Find
             Finding(PART, f"{label}: growth of the other wing, on the mesh {asked}", float(change[1]) / wanted),
         ]
         if edit.name == "one wing longer":
-            before, after = edit.parameters_before(), edit.parameters_after(result.field)
+            before, after = edit.parameters_before(), edit.parameters_after(result.field, min(resolution, 96))
             longer = (after["wing_span"] - before["wing_span"]) / 2
             what = f"{label}: half the change of the family's span, of the nearest member {asked}"
             note = _moved_otherwise(before, after, "wing_span")

@@ -12,7 +12,7 @@ from implicit import families
 
 PART = "semantic_damping"
 DAMPINGS = (10.0, 0.1, 0.001)
-STEPS_OF_THE_PAPER = {10.0: 860, 0.1: "under 10", 0.001: "under 10"}
+STEPS_OF_THE_PAPER: dict[float, float | str] = {10.0: 860, 0.1: "under 10", 0.001: "under 10"}
 NETWORKS = "The paper's networks are those published, of 128 and 256 numbers a code; ours are small, of 16."
 
 

@@ -22,16 +22,17 @@ TOLERANCE = 0.05  # of what was asked, where each stops: of the surface, of the 
 
 def draw(request: Request) -> list[Finding]:
     """Edit both ways; the code that comes out is all that differs."""
-    findings = []
+    findings: list[Finding] = []
+    resolution = 48 if request.quick else 96
     chairs, airplanes = families.bundled("dualsdf-chairs"), families.bundled("dualsdf-airplanes")
     edits = (chair_leg(chairs), longer_wing(airplanes), uneven_wings(airplanes))
     for k, edit in enumerate(edits):
         request.tell(k, len(edits), edit.name)
-        findings += _both_ways(edit, "leg_length" if edit.model is chairs else "wing_span")
+        findings += _both_ways(edit, "leg_length" if edit.model is chairs else "wing_span", resolution)
     return findings
 
 
-def _both_ways(edit: FamilyEdit, parameter: str) -> list[Finding]:
+def _both_ways(edit: FamilyEdit, parameter: str, resolution: int) -> list[Finding]:
     ends = leg_ends if parameter == "leg_length" else wing_ends
     points, ways = edit.points()
     implicit.semantic_edit(edit.field, points, ways, steps=1)  # torch prepares its transforms at the first call
@@ -42,6 +43,7 @@ def _both_ways(edit: FamilyEdit, parameter: str) -> list[Finding]:
     chosen, sphere_ways = _grasped(decoder, code, points, ways)
     theirs = sphere_edit(decoder, code, chosen, sphere_ways, tolerance=TOLERANCE)
     findings = []
+    start = ends(edit.model, edit.field, resolution)
     for name, field, steps, time, status in (
         ("ours", ours.field, len(ours.history), ours.seconds, ours.status.name),
         (
@@ -53,9 +55,9 @@ def _both_ways(edit: FamilyEdit, parameter: str) -> list[Finding]:
         ),
     ):
         label = f"{edit.name}, {name}"
-        before, after = edit.parameters_before(), edit.parameters_after(field)
+        before, after = edit.parameters_before(), edit.parameters_after(field, resolution)
         asked = float(ways[0].norm())
-        change = ends(edit.model, field, 96) - ends(edit.model, edit.field, 96)
+        change = ends(edit.model, field, resolution) - start
         others = max((abs(after[n] - before[n]), n) for n in before if n != parameter)
         unit = "[of what was asked]"
         own = (after[parameter] - before[parameter]) / asked

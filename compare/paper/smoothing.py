@@ -55,8 +55,9 @@ def draw(request: Request) -> list[Finding]:
     marks = (2, 4) if request.quick else MARKS
     for shape in request.shapes("bunny.off", bundled=["spot"]):
         subject = request.subject(shape)
+        cells = 64 if request.quick else 128
         runs = [
-            *(_field_run(request, subject, marks, held) for held in (False, True)),
+            *(_field_run(request, subject, marks, held, cells) for held in (False, True)),
             *(_mesh_run(subject, marks, held) for held in (False, True)),
         ]
         name = Path(shape).stem
@@ -66,10 +67,10 @@ def draw(request: Request) -> list[Finding]:
     return findings
 
 
-def _field_run(request: Request, subject: Subject, marks: Sequence[int], held: bool) -> Run:
+def _field_run(request: Request, subject: Subject, marks: Sequence[int], held: bool, cells: int) -> Run:
     field = subject.field
-    volume = implicit.integrate(field, implicit.Volume(), 128).value
-    area = implicit.integrate(field, implicit.Area(), 128).value
+    volume = implicit.integrate(field, implicit.Volume(), cells).value
+    area = implicit.integrate(field, implicit.Area(), cells).value
     constraints = (implicit.Volume(target=volume),) if held else ()
     name = "neural field, volume held" if held else "neural field"
     shapes, rows, status = [implicit.extract_mesh(field, 96)], [], ""
@@ -84,7 +85,7 @@ def _field_run(request: Request, subject: Subject, marks: Sequence[int], held: b
             steps=mark - before,
             step_size=STEP_OF_AREA * area,
             constraints=constraints,
-            holding=implicit.Holding(fine_resolution=128),
+            holding=implicit.Holding(fine_resolution=cells),
             seed=request.seed + before,
             progress=tell,
         )

@@ -25,8 +25,8 @@ def draw(request: Request) -> list[Finding]:
     """Push the upper half of the cactus aside, in more and more parts, and by as many as the edit chooses itself."""
     subject = request.subject("cactus")
     handle = Handle(HalfSpace((0.0, 0.6, 0.0), (0.0, 1.0, 0.0), falloff=1.0), (SHIFT, 0.0, 0.0))
-    points = 1500 if request.quick else 4000
-    counts: list[int | None] = [*PARTS, None]
+    points = 1000 if request.quick else 4000
+    counts: list[int | None] = [*PARTS] if request.quick else [*PARTS, None]
     edits = []
     for done, parts in enumerate(counts):
         request.tell(done, len(counts), f"splitting, {parts or 'chosen'} parts")
@@ -39,13 +39,11 @@ def draw(request: Request) -> list[Finding]:
         Finding("splitting", f"{what} in {parts} parts: rms of the error field {unit}", error, note=edit.status.value)
         for parts, error, edit in zip(PARTS, rms, edits, strict=False)
     ]
-    chosen = f"{what} in the {len(edits[-1].history)} parts that the edit chose: rms of the error field {unit}"
+    for error, edit in zip(rms[len(PARTS) :], edits[len(PARTS) :], strict=True):
+        chosen = f"{what} in the {len(edit.history)} parts that the edit chose: rms of the error field {unit}"
+        findings.append(Finding("splitting", chosen, error, note=edit.status.value))
     ratio = f"{what}: rms of the error field in 1 part over that in 16 parts [ratio]"
-    return [
-        *findings,
-        Finding("splitting", chosen, rms[-1], note=edits[-1].status.value),
-        Finding("splitting", ratio, rms[0] / rms[len(PARTS) - 1], headline=True),
-    ]
+    return [*findings, Finding("splitting", ratio, rms[0] / rms[len(PARTS) - 1], headline=True)]
 
 
 def _rms(edit: Edit, dense: implicit.SurfaceSample) -> float:
