@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from compare.records import replace_file
+from compare.records import plain, replace_file
 
 FILE = "findings.json"
 SCHEMA = 1
@@ -24,7 +24,7 @@ class Finding:
 
     part: str  # the figure it belongs to
     what: str  # in words, with its definition, and its unit in brackets at the end
-    ours: float | str
+    ours: float | str | None  # None where it could not be measured; the note says why
     paper: float | str | None = None  # None where the paper gives none, or none is known to us
     note: str = ""  # why they differ, or how ours was measured
     headline: bool = False  # whether it is a row of the README's table
@@ -72,7 +72,7 @@ def read_measured(path: Path) -> list[Measured]:
 
 def write_measured(measured: Iterable[Measured], path: Path) -> None:
     """Keep parts in a file, whole or not at all."""
-    document = {"schema": SCHEMA, "parts": [asdict(part) for part in measured]}
+    document = plain({"schema": SCHEMA, "parts": [asdict(part) for part in measured]})
     path.parent.mkdir(parents=True, exist_ok=True)
     text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
     replace_file(path, f"{text}\n".encode())
@@ -92,7 +92,7 @@ def table(measured: Iterable[Measured], *, headlines: bool = False) -> str:
                 cells = (
                     f"{part.part} (quick)" if part.quick else part.part,
                     finding.what,
-                    "" if finding.paper is None else _text(finding.paper),
+                    _text(finding.paper),
                     _text(finding.ours),
                     finding.note,
                 )
@@ -101,5 +101,7 @@ def table(measured: Iterable[Measured], *, headlines: bool = False) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _text(value: float | str) -> str:
+def _text(value: float | str | None) -> str:
+    if value is None:
+        return ""
     return value if isinstance(value, str) else f"{value:.4g}"

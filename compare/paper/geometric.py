@@ -78,8 +78,8 @@ class _Task:
 def draw(request: Request) -> list[Finding]:
     """Edit each shape, and draw what became of it and where it misses its target."""
     shapes = request.shapes("bunny.off", "rocker-arm.obj", bundled=("spot", "cactus", "bracket"))
-    tasks: list[_Task] = []
     shapes = shapes[:1] if request.quick else shapes
+    tasks: list[_Task] = []
     for shape in shapes:
         subject = request.subject(shape, vertices=4000)
         name = Path(shape).stem
