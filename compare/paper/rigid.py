@@ -114,7 +114,7 @@ def _energies(scene: _Scene) -> list[Finding]:
             if key == "killing_notebook" and values and side != "ARAP":
                 paper, note = values[side != "neural"], PAPER_NOTE
             what = f"{scene.name}, {words}: {energy}"
-            findings.append(Finding("rigid", what, row[key], paper, note, paper is not None))
+            findings.append(Finding("rigid", what, row[key], paper, note, _papers_own(scene.case.shape, paper)))
         missed = f"{scene.name}, {words}: rms distance of the handles from where they were sent [of the pull]"
         findings += [
             Finding("rigid", missed, row["handle_error_relative"], note=row["status"]),
@@ -139,8 +139,13 @@ def _small_step(shape: str, subject: Subject, name: str, request: Request) -> li
         paper = None
         if vertices == MESHES[0] and Path(shape).stem in PAPER:
             paper, note = SLOWER, f"{note} The paper names no machine; what its two solvers were decides this."
-        findings.append(Finding("rigid", words, found.seconds / timing.seconds, paper, note, paper is not None))
+        findings.append(Finding("rigid", words, found.seconds / timing.seconds, paper, note, _papers_own(shape, paper)))
     return findings
+
+
+def _papers_own(shape: str, paper: float | str | None) -> bool:
+    """Whether the paper has the number, and for this shape: the bundled cactus is another than the paper's."""
+    return paper is not None and bool(Path(shape).suffix)
 
 
 def _picture(scenes: list[_Scene]) -> Figure:
