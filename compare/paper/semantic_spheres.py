@@ -44,15 +44,12 @@ def _both_ways(edit: FamilyEdit, parameter: str, resolution: int) -> list[Findin
     theirs = sphere_edit(decoder, code, chosen, sphere_ways, tolerance=TOLERANCE)
     findings = []
     start = ends(edit.model, edit.field, resolution)
+    spheres = (
+        "The spheres are where they were sent." if theirs.reached else "The spheres do not get where they were sent."
+    )
     for name, field, steps, time, status in (
-        ("ours", ours.field, len(ours.history), ours.seconds, ours.status.name),
-        (
-            "spheres",
-            edit.field.with_theta(theirs.code),
-            theirs.steps,
-            theirs.seconds,
-            "REACHED" if theirs.reached else "NOT_REACHED",
-        ),
+        ("by boundary sensitivity", ours.field, len(ours.history), ours.seconds, ours.status.value),
+        ("by spheres", edit.field.with_theta(theirs.code), theirs.steps, theirs.seconds, spheres),
     ):
         label = f"{edit.name}, {name}"
         before, after = edit.parameters_before(), edit.parameters_after(field, resolution)
@@ -68,7 +65,7 @@ def _both_ways(edit: FamilyEdit, parameter: str, resolution: int) -> list[Findin
             Finding(PART, f"{label}: time of the edit [s]", time),
             Finding(PART, f"{label}: motion of what was grasped, on the mesh {unit}", float(change[0]) / asked),
             Finding(PART, counterparts, float(change[1:].mean()) / asked),
-            Finding(PART, f"{label}: change of {parameter} of the nearest member of the family {unit}", own),
+            Finding(PART, f"{label}: change of {parameter} of the nearest member, over the way asked for [ratio]", own),
             Finding(PART, most, others[0] / asked, note=f"It is {others[1]}.", headline=parameter == "leg_length"),
         ]
     return findings

@@ -36,14 +36,18 @@ def draw(request: Request) -> list[Finding]:
     request.save(_picture(subject, handle, edits, rms), "splitting")
     what, unit = "cactus, the upper half 0.3 aside", "[of the largest wanted]"
     findings = [
-        Finding("splitting", f"{what} in {parts} parts: rms of the error field {unit}", error, note=edit.status.value)
-        for parts, error, edit in zip(PARTS, rms, edits, strict=False)
+        Finding("splitting", f"{what} in {_parts(k)}: rms of the error field {unit}", error, note=edit.status.value)
+        for k, error, edit in zip(PARTS, rms, edits, strict=False)
     ]
     for error, edit in zip(rms[len(PARTS) :], edits[len(PARTS) :], strict=True):
         chosen = f"{what} in the {len(edit.history)} parts that the edit chose: rms of the error field {unit}"
         findings.append(Finding("splitting", chosen, error, note=edit.status.value))
     ratio = f"{what}: rms of the error field in 1 part over that in 16 parts [ratio]"
     return [*findings, Finding("splitting", ratio, rms[0] / rms[len(PARTS) - 1], headline=True)]
+
+
+def _parts(count: int) -> str:
+    return f"{count} part{'s' * (count > 1)}"
 
 
 def _rms(edit: Edit, dense: implicit.SurfaceSample) -> float:
@@ -60,7 +64,7 @@ def _picture(subject: Subject, handle: Handle, edits: list[Edit], rms: list[floa
     target = points + handle.weights(points)[:, None] * (handle.position(1.0, points, normals) - points)
     goal = View(target.numpy(), subject.F, np.zeros(len(target)))
     for axes, parts, edit, error in zip(grid, PARTS, edits, rms, strict=False):
-        panel(axes, surface_view(edit.field), CAMERA, None, f"{parts} part{'s' * (parts > 1)}: {100 * error:.2g} %")
+        panel(axes, surface_view(edit.field), CAMERA, None, f"{_parts(parts)}: {100 * error:.2g} %")
         silhouette(axes, goal, CAMERA)
     same_frame(grid[:-1])
     curve = grid[-1]
