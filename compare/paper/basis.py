@@ -34,7 +34,9 @@ def draw(request: Request) -> list[Finding]:
 
             panel(axes, surface_view(subject.field, values), camera_of(shape), 1.0, f"{name}: {function.name}")
             waves = _wave_number(subject.field, function, sample)
-            what = f"{name}, {function.name}: wave number of its normal motion b, sqrt(int |grad b|² / int b²) [radians per unit of the field]"
+            what = (
+                f"{name}, {function.name}: wave number of its motion b, sqrt(int |grad b|² / int b²) [radians/length]"
+            )
             findings.append(Finding("basis", what, waves))
         count = subject.field.theta.numel()
         what = f"{name}: parameters of the network, 3 hidden layers of 32 sines [count]"
