@@ -1,7 +1,7 @@
-"""The README's table of results, from the findings of `implicit-vs-mesh paper`: python -m compare.results [FOLDERS]
+"""The README's table of results, from the findings of `implicit-vs-mesh paper`: python -m compare.results [FOLDER]
 
-Findings of folders that are named are first taken over into docs/results.json. The table is made from that file alone,
-so whoever has the sources can make it again. Run it where README.md is.
+With a folder, the parts that it holds are first taken over into docs/results.json, where they take the place of older
+ones. The table is made from that file alone, so whoever has the sources can make it again. Run it where README.md is.
 """
 
 from __future__ import annotations
@@ -17,22 +17,25 @@ from compare.paper.findings import FILE, Measured, read_measured, table, write_m
 BEGIN, END = "<!-- results: python -m compare.results -->", "<!-- end of results -->"
 
 
-def take_over(folders: Sequence[Path], results: Path) -> None:
-    """Keep the findings of folders as those that the README shows; of a part that several hold, the last.
+def take_over(folder: Path, results: Path) -> None:
+    """Put the parts of a folder in the place of those that are kept; parts that the folder has not stay.
 
     Raises:
-        ValueError: They are of a quick run, or parts are missing, or were made with different settings.
+        ValueError: The folder has none, they are quick, or were made with other settings than those that stay.
     """
-    found = {part.part: part for folder in folders for part in read_measured(folder / FILE)}
-    measured = [found[name] for name in PARTS if name in found]
-    where = ", ".join(str(folder) for folder in folders)
-    if missing := [name for name in PARTS if name not in found]:
-        raise ValueError(f"There are no findings of {', '.join(missing)} in {where}. Make them: paper --resume.")
-    if quick := [part.part for part in measured if part.quick]:
-        raise ValueError(f"The findings of {', '.join(quick)} in {where} are quick ones, which are not for showing.")
-    if any(part.settings != measured[0].settings for part in measured):
-        raise ValueError(f"The parts in {where} were made with different settings. Make them again: paper --resume.")
-    write_measured(measured, results)
+    new = {part.part: part for part in read_measured(folder / FILE)}
+    if not new:
+        raise ValueError(f"{folder} holds no findings. Name a folder that `implicit-vs-mesh paper` wrote.")
+    if quick := [name for name, part in new.items() if part.quick]:
+        raise ValueError(f"The findings of {', '.join(quick)} in {folder} are quick ones, which are not for showing.")
+    found = {part.part: part for part in read_measured(results)} | new
+    settings = next(iter(new.values())).settings
+    if others := [name for name, part in found.items() if part.settings != settings]:
+        raise ValueError(
+            f"The parts {', '.join(others)} were made with other settings (seed, meshes) than {', '.join(new)}. Make them "
+            f"again with the same, or remove {results} to begin anew."
+        )
+    write_measured([found[name] for name in PARTS if name in found], results)
 
 
 def section(measured: Sequence[Measured]) -> str:
@@ -44,10 +47,12 @@ def section(measured: Sequence[Measured]) -> str:
         f"{sum(seconds) / 3600:.1f}"
         for seconds in ([part.seconds for part in measured], [part.processor_seconds for part in measured])
     )
+    missing = [name for name in PARTS if name not in {part.part for part in measured}]
     return (
         f"`implicit-vs-mesh paper --meshes DIR` with {_listed(measured[0].settings['meshes'])}; "
         f"{' to '.join(dict.fromkeys((days[0], days[-1])))}; {'; '.join(sorted(machine))}, {_listed(threads)} "
-        f"{'thread' if threads == [1] else 'threads'}; {hours} h by the clock, {of_processor} h of processor time.\n\n"
+        f"{'thread' if threads == [1] else 'threads'}; {hours} h by the clock, {of_processor} h of processor time."
+        f"{f' Not measured yet: {_listed(missing)}.' if missing else ''}\n\n"
         f"{table(measured, headlines=True)}"
     )
 
@@ -67,13 +72,13 @@ def with_section(text: str, made: str) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line."""
     parser = argparse.ArgumentParser(prog="python -m compare.results", description=str(__doc__).partition("\n")[0])
-    parser.add_argument("folders", nargs="*", type=Path, help="that `paper` wrote; without any, the results stay")
+    parser.add_argument("folder", nargs="?", type=Path, help="that `paper` wrote; without it, the results stay")
     parser.add_argument("--readme", type=Path, default=Path("README.md"), help="default: %(default)s")
     parser.add_argument("--results", type=Path, default=Path("docs/results.json"), help="default: %(default)s")
     chosen = parser.parse_args(arguments)
     try:
-        if chosen.folders:
-            take_over(chosen.folders, chosen.results)
+        if chosen.folder is not None:
+            take_over(chosen.folder, chosen.results)
         measured = read_measured(chosen.results)
         if not measured:
             raise ValueError(f"There is no {chosen.results}. Name a folder that `implicit-vs-mesh paper` wrote.")
