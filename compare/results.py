@@ -32,8 +32,8 @@ def take_over(folder: Path, results: Path) -> None:
     settings = next(iter(new.values())).settings
     if others := [name for name, part in found.items() if part.settings != settings]:
         raise ValueError(
-            f"The parts {', '.join(others)} were made with other settings (seed, meshes) than {', '.join(new)}. Make them "
-            f"again with the same, or remove {results} to begin anew."
+            f"{_listed(others)} were made with other settings (seed, meshes) than {_listed(new)}. Make them again with "
+            f"the same, or remove {results} to begin anew."
         )
     write_measured([found[name] for name in PARTS if name in found], results)
 
