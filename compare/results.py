@@ -10,6 +10,7 @@ import argparse
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from textwrap import fill
 
 from compare.paper import PARTS
 from compare.paper.findings import FILE, Measured, read_measured, table, write_measured
@@ -47,14 +48,14 @@ def section(measured: Sequence[Measured]) -> str:
         f"{sum(seconds) / 3600:.1f}"
         for seconds in ([part.seconds for part in measured], [part.processor_seconds for part in measured])
     )
-    missing = [name for name in PARTS if name not in {part.part for part in measured}]
-    return (
+    said = (
         f"`implicit-vs-mesh paper --meshes DIR` with {_listed(measured[0].settings['meshes'])}; "
         f"{' to '.join(dict.fromkeys((days[0], days[-1])))}; {'; '.join(sorted(machine))}, {_listed(threads)} "
         f"{'thread' if threads == [1] else 'threads'}; {hours} h by the clock, {of_processor} h of processor time."
-        f"{f' Not measured yet: {_listed(missing)}.' if missing else ''}\n\n"
-        f"{table(measured, headlines=True)}"
     )
+    if missing := [name for name in PARTS if name not in {part.part for part in measured}]:
+        said = f"{said} Not measured yet: {_listed(missing)}."
+    return f"{fill(said, 125, break_long_words=False, break_on_hyphens=False)}\n\n{table(measured, headlines=True)}"
 
 
 def with_section(text: str, made: str) -> str:

@@ -10,7 +10,7 @@ import tyro
 
 from compare.commands import exits
 from compare.commands.checks import require_folder_for
-from compare.commands.shown import add_task, progress_bars, speaker, teller
+from compare.commands.shown import add_task, finish, progress_bars, speaker, teller
 from compare.subject import InputError
 
 
@@ -48,15 +48,17 @@ def paper(command: Paper) -> int:
     require_folder_for(command.output)
     say = speaker(command.quiet)
     with progress_bars(command.quiet) as bars:
-        tell, tell_part = teller(bars, add_task(bars, "paper", None)), teller(bars, add_task(bars, "part", None))
-        request = Request(command.output, command.meshes, command.quick, command.seed, tell_part)
+        all_parts, this_part = add_task(bars, "paper", None), add_task(bars, "part", None)
+        request = Request(command.output, command.meshes, command.quick, command.seed, teller(bars, this_part))
         try:
             read_measured(command.output / FILE)
         except ValueError as error:
             raise InputError(str(error)) from error
         for sentence in request.check():
             say(sentence)
-        draw_parts(request, command.parts or tuple(PARTS), resume=command.resume, progress=tell)
+        parts, tell = command.parts or tuple(PARTS), teller(bars, all_parts)
+        draw_parts(request, parts, resume=command.resume, progress=tell)
+        finish(bars, this_part)
     say((command.output / "findings.md").read_text(encoding="utf-8"))
     for path in pictures(command.output):
         say(str(path))
