@@ -6,9 +6,11 @@ exit code 2, with nothing written. A case that fails while it runs is a row of t
 
 from __future__ import annotations
 
+import difflib
 import os
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import reduce
 from operator import or_
 from typing import Any, NoReturn
@@ -22,12 +24,14 @@ from compare.commands.paper import Paper, paper
 from compare.commands.report import Report, report
 from compare.commands.run import Run, run
 from compare.commands.shapes import Shapes, shapes
+from compare.commands.study import Study, study
 from compare.commands.train_family import TrainFamily, train_family
 from compare.subject import InputError
 
 # What each command takes, and what does it; in the order of --help.
 COMMANDS: dict[type, Callable[[Any], int]] = {
     Run: run,
+    Study: study,
     Shapes: shapes,
     Fit: fit,
     Report: report,
@@ -35,6 +39,11 @@ COMMANDS: dict[type, Callable[[Any], int]] = {
     Paper: paper,
     TrainFamily: train_family,
 }
+
+DESCRIPTION = """Neural fields and meshes, edited side by side.
+
+Exit codes: 0 done; 1 a case failed, and the others are done; 2 what was given cannot be used, and nothing was done; 130
+interrupted, and what was done is kept. For completion in the shell: --tyro-print-completion bash (or zsh, tcsh)."""
 
 
 def main(arguments: list[str] | None = None) -> NoReturn:
@@ -48,19 +57,29 @@ def main(arguments: list[str] | None = None) -> NoReturn:
 
         print(version("implicit-vs-mesh"))
         sys.exit(exits.DONE)
-    command: Any = tyro.cli(
-        reduce(or_, COMMANDS),  # Run | Shapes | ...
-        prog="implicit-vs-mesh",
-        description="Neural fields and meshes, edited side by side.",
-        args=arguments,
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
     try:
+        _require_command(arguments)
+        command: Any = tyro.cli(
+            reduce(or_, COMMANDS),  # Run | Shapes | ...
+            prog="implicit-vs-mesh",
+            description=DESCRIPTION,
+            args=arguments,
+            config=(tyro.conf.FlagCreatePairsOff,),
+        )
         code = COMMANDS[type(command)](command)
     except InputError as error:
         print(f"implicit-vs-mesh: {error}", file=sys.stderr)
         code = exits.INPUT
-    except KeyboardInterrupt:
-        print("implicit-vs-mesh: interrupted; `run` and `paper` go on with --resume -o FOLDER.", file=sys.stderr)
+    except KeyboardInterrupt as interruption:  # whose words, if any, say what is kept and how to go on
+        print(f"implicit-vs-mesh: interrupted. {interruption}".rstrip(), file=sys.stderr)
         code = exits.INTERRUPTED
     sys.exit(code)
+
+
+def _require_command(arguments: Sequence[str]) -> None:
+    """Say what was meant by a command that is mistyped; tyro does so for options only."""
+    names = [re.sub(r"(?<=[a-z])(?=[A-Z])", "-", command.__name__).lower() for command in COMMANDS]
+    if arguments and not arguments[0].startswith("-") and arguments[0] not in names:
+        close = difflib.get_close_matches(arguments[0], names, n=1)
+        hint = f" Did you mean {close[0]}?" if close else ""
+        raise InputError(f"There is no command {arguments[0]}; there are {', '.join(names)}.{hint}")

@@ -57,7 +57,10 @@ def paper(command: Paper) -> int:
         for sentence in request.check():
             say(sentence)
         parts, tell = command.parts or tuple(PARTS), teller(bars, all_parts)
-        draw_parts(request, parts, resume=command.resume, progress=tell)
+        try:
+            draw_parts(request, parts, resume=command.resume, progress=tell)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt("The parts that are done are kept; add --resume to go on with the rest.") from None
         finish(bars, this_part)
     say((command.output / "findings.md").read_text(encoding="utf-8"))
     for path in pictures(command.output):

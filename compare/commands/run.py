@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
+from numpy import ndarray
 
-from compare.case import OPERATIONS, Case, default_cases
+from compare.case import OPERATIONS, QUICK_FIT, QUICK_SIZE, Case, default_cases
 from compare.commands.checks import require_folder_for
 from compare.commands.exits import FAILED
-from compare.commands.shown import add_task, advance, finish, progress_bars, speaker, teller
+from compare.commands.shown import add_task, advance, print_json, print_table, progress_bars, speaker, teller
+from compare.executors import executor_of
+from compare.lock import lock
 from compare.records import FILE, Record, read
-from compare.subject import BUNDLED, InputError, check_shape, prepare_subject
+from compare.subject import BUNDLED, InputError, Progress, check_shape, prepare_subject
 
 
 @dataclass
 class Run:
     """Edit shapes as neural fields and as meshes, compare, and write a run folder with a report."""
 
-    shapes: tyro.conf.Positional[tuple[str, ...]] = BUNDLED
+    shapes: tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar="SHAPE ...")]] = BUNDLED
     """Bundled shapes, meshes (.obj, .off, .ply, .stl) or fields (.safetensors)."""
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="FOLDER")] = None
     """Run folder; by default results/run- and the time."""
     operations: tuple[Literal["geometric", "smooth", "rigid"], ...] = OPERATIONS
     """What to do with each shape."""
@@ -31,6 +35,10 @@ class Run:
     """Coarser and with fewer steps: to see that it works, not for figures."""
     seed: int = 0
     """Of every random choice."""
+    workers: Annotated[int, tyro.conf.arg(metavar="N")] = 0
+    """Processes to run in, one thread each; 0 runs in this one."""
+    dask: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
+    """A dask scheduler to run on, such as tcp://host:8786, whose workers see the same files."""
     resume: bool = False
     """Go on with a run folder: only what is missing is done."""
     json: bool = False
@@ -43,6 +51,8 @@ def run(command: Run) -> int:
     """Check everything, then prepare each shape, run its cases, and write the report."""
     folder = command.output or Path("results") / f"run-{datetime.now():%Y%m%d-%H%M%S}"
     _require_run_folder(folder, command.resume)
+    if command.dask is not None:  # its workers have folders of their own to start from
+        command.shapes = tuple(name if name in BUNDLED else str(Path(name).absolute()) for name in command.shapes)
     say = speaker(command.quiet, to_stderr=command.json)
     _require_distinct(command.shapes)
     mended = [sentence for name in command.shapes for sentence in check_shape(name)]
@@ -53,43 +63,63 @@ def run(command: Run) -> int:
     from compare.run import run_cases
 
     folder.mkdir(parents=True, exist_ok=True)
-    records: list[Record] = []
-    fit_options = {"steps": 600} if command.quick else {}
-    settings: dict[str, Any] = {"seed": command.seed}
-    if command.quick:
-        settings |= {"vertices": 1200, "resolution": 48}
-    with progress_bars(command.quiet) as bars:
+    kept = 0
+    with (
+        lock(folder),
+        progress_bars(command.quiet) as bars,
+        executor_of(command.workers, command.dask) as executor,
+    ):
         total = add_task(bars, "all", len(command.shapes) * len(command.operations))
-        for name in command.shapes:
-            current = add_task(bars, Path(name).stem, None)
-            tell = teller(bars, current)
-            try:
-                # Any case of the shape: what decides the subject is the same for all, and this one needs no handles.
-                any_case = Case(name, "smooth", parameters={"fit": fit_options} if fit_options else {}, **settings)
-                subject = prepare_subject(any_case, folder=folder, progress=tell)
-            except (ValueError, OSError) as error:
-                raise InputError(f"{name}: {error}") from error
-            cases = default_cases(
-                name,
-                subject.V,
-                subject.N,
-                operations=command.operations,
-                quick=command.quick,
-                fit=fit_options,
-                **settings,
-            )
-            records += run_cases(cases, folder=folder, progress=tell, on_record=lambda _: advance(bars, total))
-            finish(bars, current)
+        tell = teller(bars, add_task(bars, "", None) if executor is None else None)
+
+        def on_record(record: Record) -> None:
+            nonlocal kept
+            kept += 1
+            advance(bars, total)
+
+        try:
+            cases = _cases(command, folder, executor, tell)
+            records = run_cases(cases, executor, folder=folder, progress=tell, on_record=on_record)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(
+                f"{kept} cases are kept; `run --resume -o {folder}` goes on with the rest."
+            ) from None
     page = write_report(records, folder / "report.html")
     if command.json:
-        import json
-
-        for record in records:
-            print(json.dumps(record.to_dict(), allow_nan=False))
+        print_json(records)
     elif not command.quiet:
-        _print_table(records, said=mended)
+        print_table(records, said=mended)
         say(f"{folder}: {FILE}, edited fields, meshes, and {page.name} to open in a browser.")
     return FAILED if any(record.failed for record in records) else 0
+
+
+def _cases(command: Run, folder: Path, executor: Executor | None, tell: Progress) -> list[Case]:
+    """Prepare the shapes, which may fit a network to each, and find the handles on them."""
+    fit = QUICK_FIT if command.quick else {}
+    settings: dict[str, Any] = {"seed": command.seed, **(QUICK_SIZE if command.quick else {})}
+    # Any case of a shape: what decides the subject is the same for all, and this one needs no handles.
+    any_case = {
+        name: Case(name, "smooth", parameters={"fit": fit} if fit else {}, **settings) for name in command.shapes
+    }
+    waiting = {
+        name: executor.submit(_surface, case, folder.absolute())
+        for name, case in any_case.items()
+        if executor is not None
+    }
+    cases: list[Case] = []
+    for name, case in any_case.items():
+        try:
+            V, N = waiting[name].result() if waiting else _surface(case, folder, tell)
+        except (ValueError, OSError) as error:
+            raise InputError(f"{name}: {error}") from error
+        cases += default_cases(name, V, N, operations=command.operations, quick=command.quick, fit=fit, **settings)
+    return cases
+
+
+def _surface(case: Case, folder: Path, progress: Progress | None = None) -> tuple[ndarray, ndarray]:
+    """The vertices and normals of the common mesh of a case, whose subject is kept in the folder."""
+    subject = prepare_subject(case, folder=folder, progress=progress)
+    return subject.V, subject.N
 
 
 def _require_run_folder(folder: Path, resume: bool) -> None:
@@ -114,27 +144,3 @@ def _require_distinct(names: tuple[str, ...]) -> None:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InputError(f"{twice[0]} is named twice. Name each shape once.")
-
-
-def _print_table(records: list[Record], said: list[str]) -> None:
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
-    from compare.table import COLUMNS, lines, text
-
-    columns = [(k, column) for k, column in enumerate(COLUMNS) if column.brief]
-    table = Table("shape", "edit", "by", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    for _, column in columns:
-        table.add_column(column.title, justify="right", no_wrap=True)
-    for record in records:
-        for shape, operation, side, _, values in lines(record):
-            table.add_row(shape, operation, side, *(text(values[k], column) for k, column in columns))
-        table.add_section()
-    console = Console()
-    console.print(table)
-    for sentence in dict.fromkeys(note for record in records for note in record.notes if note not in said):
-        console.print(sentence, markup=False)
-    for record in records:
-        if record.failed:
-            console.print(f"{record.case.name}, {record.case.operation}: {record.status}", markup=False)
