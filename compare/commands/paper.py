@@ -10,7 +10,7 @@ import tyro
 
 from compare.commands import exits
 from compare.commands.checks import require_folder_for
-from compare.commands.shown import add_task, finish, progress_bars, speaker, teller
+from compare.commands.shown import add_task, progress_bars, speaker, teller
 from compare.subject import InputError
 
 
@@ -61,7 +61,7 @@ def paper(command: Paper) -> int:
             draw_parts(request, parts, resume=command.resume, progress=tell)
         except KeyboardInterrupt:
             raise KeyboardInterrupt("The parts that are done are kept; add --resume to go on with the rest.") from None
-        finish(bars, this_part)
+        request.tell(1, 1, "done")
     say((command.output / "findings.md").read_text(encoding="utf-8"))
     for path in pictures(command.output):
         say(str(path))

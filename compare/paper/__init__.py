@@ -13,7 +13,8 @@ from time import perf_counter, process_time
 
 from compare.paper.findings import FILE, Finding, Measured, read_measured, table, write_measured
 from compare.paper.request import Request, Tell
-from compare.records import provenance, replace_file
+from compare.provenance import surroundings
+from compare.records import replace_file
 
 __all__ = ["PARTS", "Finding", "Measured", "Request", "draw_parts", "pictures"]
 
@@ -78,11 +79,12 @@ def pictures(folder: Path) -> list[Path]:
 def _draw(request: Request, part: str) -> Measured:
     start, start_of_processor = perf_counter(), process_time()
     findings = import_module(f"compare.paper.{part}").draw(request)
+    where = {name: value for name, value in surroundings().items() if name != "host"}  # findings are published
     return Measured(
         part,
         tuple(findings),
         request.settings,
-        provenance(request.seed),
+        where,
         round(perf_counter() - start, 1),
         round(process_time() - start_of_processor, 1),
     )
