@@ -18,20 +18,20 @@ from compare.records import replace_file
 
 __all__ = ["PARTS", "Finding", "Measured", "Request", "draw_parts", "pictures"]
 
-# Modules of this package, in the order of the paper, with the processor seconds that they took, quick and in full with
-# the meshes, when this was written: for the first guess at what is left, which the parts that are done then put right.
+# Modules of this package, in the order of the paper, with about the processor seconds that each takes, quick and in full
+# with the meshes: for the first guess at what is left, which the parts that are done then put right.
 PARTS: dict[str, tuple[float, float]] = {
-    "basis": (10, 60),
-    "geometric": (60, 600),
-    "splitting": (30, 120),
-    "semantic": (20, 60),
-    "semantic_basis": (10, 20),
-    "semantic_spheres": (10, 20),
-    "semantic_damping": (10, 30),
-    "rope": (10, 20),
-    "smoothing": (30, 1200),
-    "rigid": (30, 600),
-    "rigid_bends": (30, 600),
+    "basis": (20, 50),
+    "geometric": (30, 240),
+    "splitting": (15, 60),
+    "semantic": (20, 30),
+    "semantic_basis": (5, 10),
+    "semantic_spheres": (20, 30),
+    "semantic_damping": (5, 60),
+    "rope": (5, 20),
+    "smoothing": (20, 320),
+    "rigid": (10, 600),
+    "rigid_bends": (40, 500),
 }
 
 
