@@ -18,7 +18,7 @@ from compare.records import replace_file
 
 __all__ = ["PARTS", "Finding", "Measured", "Request", "draw_parts", "pictures"]
 
-# Modules of this package, in the order of the paper, with about the processor seconds that each takes, quick and in full
+# Modules of this package, in the order of the paper, with about the processor seconds that each takes, quick and full
 # with the meshes: for the first guess at what is left, which the parts that are done then put right.
 PARTS: dict[str, tuple[float, float]] = {
     "basis": (20, 50),
