@@ -16,7 +16,7 @@ from compare.paper.request import Request
 
 
 def draw(request: Request) -> list[Finding]:
-    """Draw a random weight of each layer, in increasing depth, each scaled to what all but a hundredth of its points stay below."""
+    """Draw a random weight of each layer, in increasing depth; all but a hundredth of the surface is on the scale."""
     shapes = request.shapes("bunny.off", bundled=("spot",))
     subjects = [request.subject(shape) for shape in shapes]
     depth = max(len(implicit.one_weight_per_layer(subject.field)) for subject in subjects)
