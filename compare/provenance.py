@@ -23,12 +23,15 @@ def provenance(case: Case) -> dict[str, Any]:
         Plain data. "input" is the hash of the shape's file (the name of a bundled shape), with the commit of the git
         checkout that the file lies in, if any, and whether the file differs from that commit.
     """
+    return {**surroundings(), "seed": case.seed, "input": input_of(case.shape)}
+
+
+def surroundings() -> dict[str, Any]:
+    """When and where this process runs, and with which versions."""
     import torch
 
     return {
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
-        "seed": case.seed,
-        "input": input_of(case.shape),
         "versions": {name: _version(name) for name in PACKAGES},
         "python": platform.python_version(),
         "platform": platform.platform(),

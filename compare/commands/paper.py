@@ -8,8 +8,9 @@ from typing import Annotated
 
 import tyro
 
+from compare.commands import exits
 from compare.commands.checks import require_folder_for
-from compare.commands.shown import add_task, progress_bars, teller
+from compare.commands.shown import add_task, progress_bars, speaker, teller
 from compare.subject import InputError
 
 
@@ -20,13 +21,15 @@ class Paper:
     parts: tyro.conf.Positional[tuple[str, ...]] = ()
     """Names of figures; all of them by default."""
     meshes: Path | None = None
-    """A folder with bunny.off, cactus.off, rocker-arm.obj, as far as you have them."""
+    """A folder with bunny.off, cactus.off, rocker-arm.obj, bar.off, armadillo.obj, as far as you have them."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("results/paper")
     """Where the pictures and the findings go."""
     quick: bool = False
     """Coarser and with fewer steps: to see that it works, not for figures."""
     seed: int = 0
     """Of every random choice."""
+    resume: bool = False
+    """Leave out the parts that the output already holds with the same settings."""
     quiet: bool = False
     """Print nothing but errors."""
 
@@ -34,6 +37,7 @@ class Paper:
 def paper(command: Paper) -> int:
     """Draw the parts that are asked for, and say where they are and what was found."""
     from compare.paper import PARTS, Request, draw_parts, pictures
+    from compare.paper.findings import FILE, read_measured
 
     if unknown := [name for name in command.parts if name not in PARTS]:
         raise InputError(f"There is no figure {unknown[0]!r}; there are {', '.join(PARTS)}.")
@@ -42,13 +46,26 @@ def paper(command: Paper) -> int:
     if command.output.exists() and not command.output.is_dir():
         raise InputError(f"The output {command.output} is a file, but figures are written to a folder. Name another.")
     require_folder_for(command.output)
-    command.output.mkdir(parents=True, exist_ok=True)
+    say = speaker(command.quiet)
     with progress_bars(command.quiet) as bars:
-        tell = teller(bars, add_task(bars, "paper", None))
-        request = Request(command.output, command.meshes, command.quick, command.seed, tell)
-        draw_parts(request, command.parts or PARTS)
-    if not command.quiet:
-        print((command.output / "findings.md").read_text())
-        for path in pictures(command.output):
-            print(path)
-    return 0
+        all_parts, this_part = add_task(bars, "paper", None), add_task(bars, "part", None)
+        request = Request(command.output, command.meshes, command.quick, command.seed, teller(bars, this_part))
+        try:
+            read_measured(command.output / FILE)
+        except ValueError as error:
+            raise InputError(str(error)) from error
+        for sentence in request.check():
+            say(sentence)
+        parts, tell = command.parts or tuple(PARTS), teller(bars, all_parts)
+        try:
+            draw_parts(request, parts, resume=command.resume, progress=tell)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt("The parts that are done are kept; add --resume to go on with the rest.") from None
+        request.tell(1, 1, "done")
+    say((command.output / "findings.md").read_text(encoding="utf-8"))
+    for path in pictures(command.output):
+        say(str(path))
+    measured = read_measured(command.output / FILE)
+    minutes, of_processor = (sum(p.seconds for p in measured) / 60, sum(p.processor_seconds for p in measured) / 60)
+    say(f"The {len(measured)} parts took {minutes:.1f} min, {of_processor:.1f} min of processor time.")
+    return exits.DONE

@@ -10,15 +10,13 @@ from matplotlib.figure import Figure
 from numpy import ndarray
 
 import implicit
-from compare.figures import Camera
-from compare.paper.panels import panel, surface_view
-from compare.paper.request import Finding, Request
-
-AZIMUTH = {"spot": 300.0}
+from compare.paper.findings import Finding
+from compare.paper.panels import camera_of, colour_bar, panel, surface_view
+from compare.paper.request import Request
 
 
 def draw(request: Request) -> list[Finding]:
-    """Draw a random weight of each layer, in increasing depth, each scaled to its largest size."""
+    """Draw a random weight of each layer, in increasing depth; all but a hundredth of the surface is on the scale."""
     shapes = request.shapes("bunny.off", bundled=("spot",))
     subjects = [request.subject(shape) for shape in shapes]
     depth = max(len(implicit.one_weight_per_layer(subject.field)) for subject in subjects)
@@ -27,19 +25,24 @@ def draw(request: Request) -> list[Finding]:
     findings = []
     for row, shape, subject in zip(grid, shapes, subjects, strict=True):
         name = Path(shape).stem
-        camera = Camera(AZIMUTH.get(name, 30.0))
         sample = implicit.surface_quadrature(subject.field, 48)
         for axes, function in zip(row, implicit.one_weight_per_layer(subject.field, request.seed), strict=False):
-            scale = float(function(sample.points).abs().max())
+            # Where the slope of the field is small, a function may be many times what it is elsewhere.
+            scale = float(function(sample.points).abs().quantile(0.99))
 
             def values(V: ndarray, function: implicit.BasisFunction = function, scale: float = scale) -> ndarray:
                 return np.asarray(function(torch.from_numpy(V)).numpy()) / scale
 
-            panel(axes, surface_view(subject.field, values), camera, 1.0, f"{name}: {function.name}")
+            panel(axes, surface_view(subject.field, values), camera_of(shape), 1.0, f"{name}: {function.name}")
             waves = _wave_number(subject.field, function, sample)
-            what = f"{name}, {function.name}: wave number on the surface"
-            note = "Root of the mean squared surface gradient over the mean square, in radians a unit of length."
-            findings.append(Finding("basis", what, waves, note=note))
+            what = (
+                f"{name}, {function.name}: wave number of its motion b, sqrt(int |grad b|² / int b²) [radians/length]"
+            )
+            findings.append(Finding("basis", what, waves))
+        count = subject.field.theta.numel()
+        what = f"{name}: parameters of the network, 3 hidden layers of 32 sines [count]"
+        findings.append(Finding("basis", what, count, 2273, headline=name == "spot"))
+        colour_bar(figure, list(row), 1.0, "normal motion / its 99 % quantile", beyond=True)
     request.save(figure, "basis")
     return findings
 

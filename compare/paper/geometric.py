@@ -21,9 +21,10 @@ from numpy import ndarray
 import implicit
 import meshref
 from compare.figures import Camera
+from compare.paper.findings import Finding
 from compare.paper.letters import Letters
 from compare.paper.panels import colour_bar, panel, surface_view
-from compare.paper.request import Finding, Request
+from compare.paper.request import Request
 from compare.subject import Subject
 from implicit import Along, Ball, Edit, HalfSpace, Handle, Region, SurfaceSample
 
@@ -77,8 +78,9 @@ class _Task:
 def draw(request: Request) -> list[Finding]:
     """Edit each shape, and draw what became of it and where it misses its target."""
     shapes = request.shapes("bunny.off", "rocker-arm.obj", bundled=("spot", "cactus", "bracket"))
+    shapes = shapes[:1] if request.quick else shapes
     tasks: list[_Task] = []
-    for shape in shapes[:2] if request.quick else shapes:
+    for shape in shapes:
         subject = request.subject(shape, vertices=4000)
         name = Path(shape).stem
         for kind in ("bump", "stretch"):
@@ -170,7 +172,7 @@ def _picture(tasks: list[_Task]) -> Figure:
             axes.set_xlim(*grid[1, column].get_xlim())
             axes.set_ylim(*grid[1, column].get_ylim())
     colour_bar(figure, [*grid[0], *grid[1]], 1.0, "target / largest")
-    colour_bar(figure, list(grid[2]), 0.1, "(achieved - target) / largest")
+    colour_bar(figure, list(grid[2]), 0.1, "(achieved - target) / largest", beyond=True)
     return figure
 
 
@@ -195,15 +197,19 @@ def _findings(task: _Task) -> list[Finding]:
     if before is not None and edit.after is not None:
         sound = f"{sound} to {edit.after.slope_low:.2f}, the pieces from {before.pieces} to {edit.after.pieces}."
     ended = " ".join([edit.status.value, sound, *edit.notes])
+    error, unit = "error field, achieved minus wanted normal motion", "[of the largest wanted]"
+    headline = task.kind == "bump" and task.name in ("spot", "bunny", "rocker-arm")
     found = [
-        Finding(part, f"{what}: rms of the error field", task.rms(), note=ended),
-        Finding(part, f"{what}: largest of the error field", float(np.nanmax(np.abs(task.error)))),
-        Finding(part, f"{what}: rms motion of what is to stay, over the largest", task.rest()),
-        Finding(part, f"{what}: rms predicted before the edit", task.predicted.rms, note=task.predicted.sentence()),
-        Finding(part, f"{what}: seconds of the edit", task.seconds),
+        Finding(part, f"{what}: {error}, rms over the surface {unit}", task.rms(), note=ended, headline=headline),
+        Finding(part, f"{what}: {error}, largest size {unit}", float(np.nanmax(np.abs(task.error)))),
+        Finding(part, f"{what}: motion of what is to stay, rms {unit}", task.rest()),
+        Finding(
+            part, f"{what}: rms predicted before the edit {unit}", task.predicted.rms, note=task.predicted.sentence()
+        ),
+        Finding(part, f"{what}: time of the edit [s]", task.seconds),
     ]
     if task.biharmonic is not None:
         note = "Moved along its normals the mesh has none; left to be smooth between the handles it differs by this."
-        what = f"{what}: rms of the error field of the biharmonic mesh"
+        what = f"{what}: {error}, rms of the biharmonic mesh {unit}"
         found.append(Finding(part, what, task.biharmonic, note=note))
     return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +17,14 @@ from numpy import ndarray
 import implicit
 from compare.figures import COLOURS, SURFACE, Camera, paint
 from compare.views import View
+
+# Of shapes that face another way than most, so that they are not seen from behind.
+AZIMUTH = {"spot": 300.0}
+
+
+def camera_of(shape: str) -> Camera:
+    """Where a shape is seen best from, by its name or that of its file."""
+    return Camera(AZIMUTH.get(Path(shape).stem, 30.0))
 
 
 def surface_view(
@@ -44,9 +53,10 @@ def panel(axes: Axes, view: View, camera: Camera, limit: float | None, title: st
     axes.set_title(title, fontsize=7)
 
 
-def colour_bar(figure: Figure, axes: Sequence[Axes], limit: float, label: str) -> None:
-    """A colour bar beside the axes, for numbers up to the limit."""
-    bar = figure.colorbar(ScalarMappable(Normalize(-limit, limit), COLOURS), ax=list(axes), shrink=0.8, pad=0.01)
+def colour_bar(figure: Figure, axes: Sequence[Axes], limit: float, label: str, *, beyond: bool = False) -> None:
+    """A colour bar beside the axes, for numbers up to the limit, or with arrows where some are beyond it."""
+    colours = ScalarMappable(Normalize(-limit, limit), COLOURS)
+    bar = figure.colorbar(colours, ax=list(axes), shrink=0.8, pad=0.01, extend="both" if beyond else "neither")
     bar.set_label(label, fontsize=7)
     bar.ax.tick_params(labelsize=6)
 

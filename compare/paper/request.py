@@ -1,32 +1,22 @@
-"""What a figure of the paper is asked with, and what it gives back."""
+"""What a figure of the paper is asked with."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field as default
+from dataclasses import dataclass, field as default
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from compare.case import Case
-from compare.records import replace_file
-from compare.subject import InputError, Subject, prepare_subject
+from compare.case import Case, content_of
+from compare.subject import InputError, Subject, check_shape, prepare_subject
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Tell = Callable[[int, int, str], None]
 
-
-@dataclass(frozen=True)
-class Finding:
-    """A number of the paper, or of a claim about it, and ours."""
-
-    part: str  # the figure it belongs to
-    what: str  # in words, with its definition and unit
-    ours: float | str
-    paper: float | str | None = None  # None where the paper gives none
-    note: str = ""  # why they differ, or how ours was measured
+# The paper's own shapes, and two of the rigid editing that it is compared with, by the names they are known by.
+MESHES = ("bunny.off", "cactus.off", "rocker-arm.obj", "bar.off", "armadillo.obj")
 
 
 @dataclass(frozen=True)
@@ -34,10 +24,30 @@ class Request:
     """Where the pictures go, and how they are to be made."""
 
     folder: Path
-    meshes: Path | None = None  # a folder with meshes of the paper: bunny.off, cactus.off, rocker-arm.obj
+    meshes: Path | None = None  # a folder with some of MESHES
     quick: bool = False  # coarser and with fewer steps: to see that it works, not for figures
     seed: int = 0
-    tell: Tell = default(default=lambda step, steps, what: None, repr=False)
+    tell: Tell = default(default=lambda step, steps, what: None, repr=False)  # of the steps within a part
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What decides the numbers, as plain data; of the meshes, their content."""
+        meshes = {Path(path).name: content_of(path) for path in self.shapes(*MESHES)}
+        return {"quick": self.quick, "seed": self.seed, "meshes": meshes}
+
+    def check(self) -> list[str]:
+        """Refuse a mesh that cannot be used, before any work; return what will be mended, in sentences.
+
+        Raises:
+            InputError: A mesh is beyond mending, or the folder holds none of MESHES.
+        """
+        paths = self.shapes(*MESHES)
+        if self.meshes is not None and not paths:
+            raise InputError(
+                f"The folder {self.meshes} holds none of {', '.join(MESHES)}. Name the one that does, or leave "
+                "--meshes out."
+            )
+        return [sentence for path in paths for sentence in check_shape(path)]
 
     def shapes(self, *files: str, bundled: Sequence[str] = ()) -> list[str]:
         """The bundled shapes, and those of the files that are in the folder of meshes, as names of shapes."""
@@ -67,19 +77,3 @@ class Request:
         for path in paths:
             figure.savefig(path, dpi=150)
         return paths
-
-
-def write_findings(findings: Sequence[Finding], folder: Path) -> None:
-    """Keep findings as findings.json, and as a table in findings.md."""
-    folder.mkdir(parents=True, exist_ok=True)
-    rows = [asdict(finding) for finding in findings]
-    replace_file(folder / "findings.json", json.dumps(rows, indent=1, allow_nan=False).encode())
-    lines = ["| figure | what | paper | ours | note |", "|---|---|---|---|---|"]
-    for finding in findings:
-        paper = "" if finding.paper is None else _text(finding.paper)
-        lines.append(f"| {finding.part} | {finding.what} | {paper} | {_text(finding.ours)} | {finding.note} |")
-    replace_file(folder / "findings.md", ("\n".join(lines) + "\n").encode())
-
-
-def _text(value: float | str) -> str:
-    return value if isinstance(value, str) else f"{value:.4g}"

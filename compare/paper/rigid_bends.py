@@ -23,8 +23,9 @@ import meshref
 from compare.case import Case, HandleSpec
 from compare.figures import HELD, MOVED, SURFACE, Camera, paint
 from compare.operations import Wanted, wanted_motion
+from compare.paper.findings import Finding
 from compare.paper.panels import panel, same_frame, surface_view
-from compare.paper.request import Finding, Request
+from compare.paper.request import Request
 from compare.subject import Subject
 from compare.views import View
 
@@ -142,7 +143,7 @@ def _path(subject: Subject, case: Case, fraction: float) -> Float[ndarray, "n 3"
 
 
 def _bent(request: Request, what: str, shape: str, subject: Subject, degrees: float) -> _Bend:
-    steps = 3 if request.quick else STEPS[what]
+    steps = 2 if request.quick else STEPS[what]
     degrees = degrees / 6 if request.quick else degrees
     case = Case(shape, "rigid", turning_handles(subject, what, degrees), seed=request.seed)
     handles = [spec.build() for spec in case.handles]
@@ -169,16 +170,17 @@ def _findings(bend: _Bend) -> list[Finding]:
     V, F = bend.subject.V, bend.subject.F
     status = bend.free.status.value
     mesh = meshref.volume(bend.arap, F) / meshref.volume(V, F) - 1
+    apart, change = "Hausdorff distance to the mesh's ARAP [of the longest side]", "change of volume [of that before]"
     rows = [
-        ("Hausdorff distance to the mesh's ARAP over the box", bend.distance(bend.free), status),
-        ("the same of the mesh's Killing steps", bend.from_arap(bend.killing, F), ""),
-        ("the same with the volume held", bend.distance(bend.held), bend.held.status.value),
-        ("volume change, neural", bend.volume_change(bend.free), ""),
-        ("volume change, mesh ARAP", mesh, ""),
-        ("volume change, mesh Killing steps", meshref.volume(bend.killing, F) / meshref.volume(V, F) - 1, ""),
-        ("volume change, neural, volume held", bend.volume_change(bend.held), ""),
+        (f"neural: {apart}", bend.distance(bend.free), status),
+        (f"neural, volume held: {apart}", bend.distance(bend.held), bend.held.status.value),
+        (f"mesh, Killing steps: {apart}", bend.from_arap(bend.killing, F), ""),
+        (f"neural: {change}", bend.volume_change(bend.free), ""),
+        (f"neural, volume held: {change}", bend.volume_change(bend.held), ""),
+        (f"mesh, ARAP: {change}", mesh, ""),
+        (f"mesh, Killing steps: {change}", meshref.volume(bend.killing, F) / meshref.volume(V, F) - 1, ""),
     ]
-    return [Finding("rigid_bends", f"{bend.what}: {what}", value, note=note) for what, value, note in rows]
+    return [Finding("rigid_bends", f"{bend.what}; {what}", value, note=note) for what, value, note in rows]
 
 
 def _picture(bends: list[_Bend]) -> Figure:

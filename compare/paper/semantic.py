@@ -14,12 +14,14 @@ from matplotlib.figure import Figure
 import implicit
 from compare.figures import MOVED, SURFACE, Camera, paint
 from compare.paper.family_edits import FamilyEdit, chair_leg, leg_ends, longer_wing, uneven_wings, wing_ends
-from compare.paper.request import Finding, Request
+from compare.paper.findings import Finding
+from compare.paper.request import Request
 from compare.views import View
 from implicit import families
 
 PART = "semantic"
 MODELS = ("deepsdf", "dualsdf", "imnet")
+POINTS = 100
 
 
 def draw(request: Request) -> list[Finding]:
@@ -42,20 +44,22 @@ def draw(request: Request) -> list[Finding]:
 
 
 def _leg(name: str, edit: FamilyEdit, resolution: int) -> list[Finding]:
-    points, ways = edit.points()
+    points, ways = edit.points(POINTS)
     result = implicit.semantic_edit(edit.field, points, ways)
     change = leg_ends(edit.model, result.field, resolution) - leg_ends(edit.model, edit.field, resolution)
     wanted = float(ways[0].norm()) / edit.model.scale
     others = float(np.abs(change[1:] / change[0] - 1).max())
-    before, after = edit.parameters_before(), edit.parameters_after(result.field)
+    before, after = edit.parameters_before(), edit.parameters_after(result.field, min(resolution, 96))
     shorter = before["leg_length"] - after["leg_length"]
+    label, asked, steps = f"{name}, {edit.name}", "[of what was asked]", len(result.history)
     return [
-        Finding(PART, f"{name}, one leg shorter: steps", len(result.history), "under 15", result.status.value),
-        Finding(PART, f"{name}, one leg shorter: its change, of what was asked", float(change[0]) / wanted),
-        Finding(PART, f"{name}, one leg shorter: largest difference of the other three's change from it", others),
+        Finding(PART, f"{label}: points prescribed, at most [count]", POINTS, "about 100"),
+        Finding(PART, f"{label}: steps [count]", steps, "under 15", result.status.value, name != "deepsdf"),
+        Finding(PART, f"{label}: rise of its foot, on the mesh {asked}", float(change[0]) / wanted),
+        Finding(PART, f"{label}: largest difference of the other three's rise from its own [of its own]", others),
         Finding(
             PART,
-            f"{name}, one leg shorter: change of the family's leg length, of what was asked",
+            f"{label}: change of the family's leg length, of the nearest member {asked}",
             shorter / wanted,
             note=_moved_otherwise(before, after, "leg_length"),
         ),
@@ -65,50 +69,41 @@ def _leg(name: str, edit: FamilyEdit, resolution: int) -> list[Finding]:
 def _wings(name: str, model: families.FamilyModel, resolution: int) -> list[Finding]:
     findings = []
     for edit in (longer_wing(model), uneven_wings(model)):
-        points, ways = edit.points()
+        points, ways = edit.points(POINTS)
         result = implicit.semantic_edit(edit.field, points, ways)
         change = wing_ends(model, result.field, resolution) - wing_ends(model, edit.field, resolution)
         error = result.error_field()
         missed = float(error[torch.isfinite(error)].square().mean().sqrt())
         wanted = float(ways[0].norm()) / model.scale
-        label = f"{name}, {edit.name}"
+        label, asked = f"{name}, {edit.name}", "[of what was asked]"
+        headline = name == "dualsdf" and edit.name == "one wing longer"
+        paper = "under 15" if edit.name == "one wing longer" else None
         findings += [
-            Finding(PART, f"{label}: steps", len(result.history), _steps_of_the_paper(edit), result.status.value),
-            Finding(PART, f"{label}: what is missed, of what was asked", missed),
-            Finding(PART, f"{label}: change of the wing at +x, of what was asked", float(change[0]) / wanted),
-            Finding(PART, f"{label}: change of the other wing, of what was asked", float(change[1]) / wanted),
+            Finding(PART, f"{label}: steps [count]", len(result.history), paper, result.status.value, headline),
+            Finding(PART, f"{label}: rms of what is missed {asked}", missed),
+            Finding(PART, f"{label}: growth of the wing at +x, on the mesh {asked}", float(change[0]) / wanted),
+            Finding(PART, f"{label}: growth of the other wing, on the mesh {asked}", float(change[1]) / wanted),
         ]
         if edit.name == "one wing longer":
-            before, after = edit.parameters_before(), edit.parameters_after(result.field)
+            before, after = edit.parameters_before(), edit.parameters_after(result.field, min(resolution, 96))
             longer = (after["wing_span"] - before["wing_span"]) / 2
+            what = f"{label}: half the change of the family's span, of the nearest member {asked}"
             note = _moved_otherwise(before, after, "wing_span")
-            findings.append(
-                Finding(
-                    PART,
-                    f"{label}: half the change of the family's span, of what was asked",
-                    longer / wanted,
-                    None,
-                    note,
-                )
-            )
+            findings.append(Finding(PART, what, longer / wanted, note=note))
     return findings
-
-
-def _steps_of_the_paper(edit: FamilyEdit) -> str | None:
-    return "under 15" if edit.name == "one wing longer" else None
 
 
 def _moved_otherwise(before: dict[str, float], after: dict[str, float], but: str) -> str:
     changes = {name: after[name] - before[name] for name in before if name != but}
     name = max(changes, key=lambda name: abs(changes[name]))
-    return f"of the other parameters {name} changed most, by {changes[name]:+.3f}"
+    return f"Of the other parameters {name} changed most, by {changes[name]:+.3f}."
 
 
 def _picture(columns: list[tuple[FamilyEdit, Camera]], resolution: int) -> Figure:
     figure = Figure(figsize=(2.6 * len(columns), 5.2), layout="constrained")
     grid = figure.subplots(2, len(columns))
     for (edit, camera), above, below in zip(columns, grid[0], grid[1], strict=True):
-        points, ways = edit.points()
+        points, ways = edit.points(POINTS)
         result = implicit.semantic_edit(edit.field, points, ways)
         V, F = implicit.extract_mesh(edit.field, resolution)
         weights = [handle.weights(torch.from_numpy(V).to(edit.field.theta)) for handle in edit.handles]

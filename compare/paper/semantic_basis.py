@@ -10,12 +10,16 @@ from matplotlib.figure import Figure
 
 import implicit
 from compare.figures import COLOURS, Camera, paint
-from compare.paper.request import Finding, Request
+from compare.paper.findings import Finding
+from compare.paper.panels import colour_bar
+from compare.paper.request import Request
 from compare.views import View
 from implicit import families
 
 PART = "semantic_basis"
 COUNT = 4
+CHAIRS = ("one chair", "its neighbour")
+SYMMETRY = "mirror symmetry from side to side, 1 is even and -1 odd [correlation]"
 
 
 def draw(request: Request) -> list[Finding]:
@@ -30,13 +34,12 @@ def draw(request: Request) -> list[Finding]:
     request.save(_picture(fields, directions, symmetry, 64 if request.quick else 128), PART)
     findings = []
     for k in range(COUNT):
-        for name, measure in zip(("one chair", "its neighbour"), symmetry, strict=True):
-            findings.append(Finding(PART, f"basis function {k + 1} on {name}: symmetry, 1 is even", float(measure[k])))
+        for name, measure in zip(CHAIRS, symmetry, strict=True):
+            findings.append(Finding(PART, f"basis function {k + 1} on {name}: {SYMMETRY}", float(measure[k])))
     own = torch.eye(len(model.latents[0]))
     single = torch.stack([implicit.mirror_symmetry(f, s, own) for f, s in zip(fields, samples, strict=True)])
-    findings.append(
-        Finding(PART, "symmetry of the single numbers of the code on both chairs: least", float(single.min()))
-    )
+    what = f"the single numbers of the code, least on both chairs: {SYMMETRY}"
+    findings.append(Finding(PART, what, float(single.min())))
     return findings
 
 
@@ -53,8 +56,9 @@ def _picture(
             points = torch.from_numpy(V).to(field.theta)
             motions.append(implicit.normal_displacement(field, points, directions[:, k].to(field.theta)).numpy())
         limit = max(float(np.quantile(np.abs(u), 0.99)) for u in motions)
-        for axes, (V, F), u, measure in zip(grid[:, k], meshes, motions, symmetry, strict=True):
+        for axes, name, (V, F), u, measure in zip(grid[:, k], CHAIRS, meshes, motions, symmetry, strict=True):
             colours = colormaps[COLOURS](Normalize(-limit, limit)(u[F].mean(axis=1)))[:, :3]
             paint(axes, View(V, F, u), colours, camera)
-            axes.set_title(f"function {k + 1}, symmetry {float(measure[k]):.3f}", fontsize=8)
+            axes.set_title(f"function {k + 1} on {name}\nsymmetry {float(measure[k]):.4f}", fontsize=8)
+    colour_bar(figure, list(grid.ravel()), 1.0, "normal motion / its column's 99 % quantile", beyond=True)
     return figure

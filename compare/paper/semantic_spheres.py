@@ -10,7 +10,8 @@ import torch
 
 import implicit
 from compare.paper.family_edits import FamilyEdit, chair_leg, leg_ends, longer_wing, uneven_wings, wing_ends
-from compare.paper.request import Finding, Request
+from compare.paper.findings import Finding
+from compare.paper.request import Request
 from compare.spheres import sphere_edit, spheres_near
 from implicit import families
 from implicit.models import DualSdf
@@ -21,16 +22,17 @@ TOLERANCE = 0.05  # of what was asked, where each stops: of the surface, of the 
 
 def draw(request: Request) -> list[Finding]:
     """Edit both ways; the code that comes out is all that differs."""
-    findings = []
+    findings: list[Finding] = []
+    resolution = 48 if request.quick else 96
     chairs, airplanes = families.bundled("dualsdf-chairs"), families.bundled("dualsdf-airplanes")
     edits = (chair_leg(chairs), longer_wing(airplanes), uneven_wings(airplanes))
     for k, edit in enumerate(edits):
         request.tell(k, len(edits), edit.name)
-        findings += _both_ways(edit, "leg_length" if edit.model is chairs else "wing_span")
+        findings += _both_ways(edit, "leg_length" if edit.model is chairs else "wing_span", resolution)
     return findings
 
 
-def _both_ways(edit: FamilyEdit, parameter: str) -> list[Finding]:
+def _both_ways(edit: FamilyEdit, parameter: str, resolution: int) -> list[Finding]:
     ends = leg_ends if parameter == "leg_length" else wing_ends
     points, ways = edit.points()
     implicit.semantic_edit(edit.field, points, ways, steps=1)  # torch prepares its transforms at the first call
@@ -41,36 +43,30 @@ def _both_ways(edit: FamilyEdit, parameter: str) -> list[Finding]:
     chosen, sphere_ways = _grasped(decoder, code, points, ways)
     theirs = sphere_edit(decoder, code, chosen, sphere_ways, tolerance=TOLERANCE)
     findings = []
+    start = ends(edit.model, edit.field, resolution)
+    spheres = (
+        "The spheres are where they were sent." if theirs.reached else "The spheres do not get where they were sent."
+    )
     for name, field, steps, time, status in (
-        ("ours", ours.field, len(ours.history), ours.seconds, ours.status.name),
-        (
-            "spheres",
-            edit.field.with_theta(theirs.code),
-            theirs.steps,
-            theirs.seconds,
-            "REACHED" if theirs.reached else "NOT_REACHED",
-        ),
+        ("by boundary sensitivity", ours.field, len(ours.history), ours.seconds, ours.status.value),
+        ("by spheres", edit.field.with_theta(theirs.code), theirs.steps, theirs.seconds, spheres),
     ):
         label = f"{edit.name}, {name}"
-        before, after = edit.parameters_before(), edit.parameters_after(field)
+        before, after = edit.parameters_before(), edit.parameters_after(field, resolution)
         asked = float(ways[0].norm())
-        change = ends(edit.model, field, 96) - ends(edit.model, edit.field, 96)
+        change = ends(edit.model, field, resolution) - start
         others = max((abs(after[n] - before[n]), n) for n in before if n != parameter)
+        unit = "[of what was asked]"
+        own = (after[parameter] - before[parameter]) / asked
+        counterparts = f"{label}: mean motion of its counterparts, on the mesh {unit}"
+        most = f"{label}: largest change of another parameter of the family {unit}"
         findings += [
-            Finding(PART, f"{label}: seconds", time, note=f"{steps} steps, {status}"),
-            Finding(PART, f"{label}: change of what was grasped, of what was asked", float(change[0]) / asked),
-            Finding(PART, f"{label}: change of its counterparts, of what was asked", float(change[1:].mean()) / asked),
-            Finding(
-                PART,
-                f"{label}: change of {parameter}, of what was asked",
-                (after[parameter] - before[parameter]) / asked,
-            ),
-            Finding(
-                PART,
-                f"{label}: largest change of another parameter, of what was asked",
-                others[0] / asked,
-                note=others[1],
-            ),
+            Finding(PART, f"{label}: steps [count]", steps, note=status),
+            Finding(PART, f"{label}: time of the edit [s]", time),
+            Finding(PART, f"{label}: motion of what was grasped, on the mesh {unit}", float(change[0]) / asked),
+            Finding(PART, counterparts, float(change[1:].mean()) / asked),
+            Finding(PART, f"{label}: change of {parameter} of the nearest member, over the way asked for [ratio]", own),
+            Finding(PART, most, others[0] / asked, note=f"It is {others[1]}.", headline=parameter == "leg_length"),
         ]
     return findings
 

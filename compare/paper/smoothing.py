@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal
 
@@ -20,10 +21,12 @@ from numpy import ndarray
 
 import implicit
 import meshref
-from compare.figures import SURFACE, Camera, paint
-from compare.paper.request import Finding, Request
+from compare.figures import Camera, paint
+from compare.paper.findings import Finding
+from compare.paper.panels import camera_of, plain_colours
+from compare.paper.request import Request
 from compare.subject import Subject
-from compare.views import View, simplified
+from compare.views import View
 
 PART = "smoothing"
 MARKS = (10, 30, 86)  # the steps shown, of which the last is the paper's number
@@ -52,24 +55,25 @@ def draw(request: Request) -> list[Finding]:
     marks = (2, 4) if request.quick else MARKS
     for shape in request.shapes("bunny.off", bundled=["spot"]):
         subject = request.subject(shape)
+        cells = 64 if request.quick else 128
         runs = [
-            *(_field_run(request, subject, marks, held) for held in (False, True)),
+            *(_field_run(request, subject, marks, held, cells) for held in (False, True)),
             *(_mesh_run(subject, marks, held) for held in (False, True)),
         ]
-        name = shape.rsplit("/", 1)[-1].removesuffix(".off")
-        request.save(_picture(subject, runs, marks), f"{PART}-{name}")
+        name = Path(shape).stem
+        request.save(_picture(camera_of(shape), subject, runs, marks), f"{PART}-{name}")
         request.save(_curves(runs), f"{PART}-{name}-curves")
         findings += _findings(name, subject, runs, marks[-1], quick=request.quick)
     return findings
 
 
-def _field_run(request: Request, subject: Subject, marks: Sequence[int], held: bool) -> Run:
+def _field_run(request: Request, subject: Subject, marks: Sequence[int], held: bool, cells: int) -> Run:
     field = subject.field
-    volume = implicit.integrate(field, implicit.Volume(), 128).value
-    area = implicit.integrate(field, implicit.Area(), 128).value
+    volume = implicit.integrate(field, implicit.Volume(), cells).value
+    area = implicit.integrate(field, implicit.Area(), cells).value
     constraints = (implicit.Volume(target=volume),) if held else ()
     name = "neural field, volume held" if held else "neural field"
-    shapes, rows, status = [(subject.V, subject.F)], [], ""
+    shapes, rows, status = [implicit.extract_mesh(field, 96)], [], ""
     begin = perf_counter()
     for before, mark in zip((0, *marks), marks):
 
@@ -81,7 +85,7 @@ def _field_run(request: Request, subject: Subject, marks: Sequence[int], held: b
             steps=mark - before,
             step_size=STEP_OF_AREA * area,
             constraints=constraints,
-            holding=implicit.Holding(fine_resolution=128),
+            holding=implicit.Holding(fine_resolution=cells),
             seed=request.seed + before,
             progress=tell,
         )
@@ -133,23 +137,46 @@ def _findings(name: str, subject: Subject, runs: Sequence[Run], steps: int, *, q
     cells = (48, 64) if quick else (192, 256)
     drift = _richardson(held.field, cells) / _richardson(subject.field, cells) - 1
 
-    def finding(what: str, ours: float | str, paper: float | None = None, note: str = "") -> Finding:
-        return Finding(PART, f"{name}: {what}", ours, paper, note)
+    def finding(
+        what: str, ours: float | str, paper: float | None = None, note: str = "", headline: bool = False
+    ) -> Finding:
+        return Finding(PART, f"{name}, {what}", ours, paper, note, headline)
 
-    change = f"volume after {steps} steps, nothing held, relative change"
+    bunny = name == "bunny"
+    change = f"after {steps} steps: volume, relative change"
+    drifted = f"By meshes of {cells[0]} and {cells[1]} cells, extrapolated, which the flow does not use. {held.status}"
     return [
-        finding(change, float(free.volume[-1] - 1), -0.8 if name == "bunny" else None, free.status),
-        finding(f"the same by the mesh, {MESH_METHOD}", float(mesh_free.volume[-1] - 1), note=mesh_free.status),
         finding(
-            f"volume drift after {steps} steps, volume held",
-            drift,
-            -0.016 if name == "bunny" else None,
-            f"by meshes of {cells[0]} and {cells[1]} cells, extrapolated; {held.status}",
+            f"neural, nothing held, {change} [of that before]",
+            float(free.volume[-1] - 1),
+            -0.8 if bunny else None,
+            f"The paper does not give its step size; ours is {STEP_OF_AREA:g} of the area. {free.status}",
+            bunny,
         ),
-        finding("sphericity at the end, volume held", held.sphericity),
-        finding("the same by the mesh, volume kept", mesh_held.sphericity, note=mesh_held.status),
-        finding("most pieces at any step, nothing held and volume held", f"{free.pieces}, {held.pieces}"),
-        finding("seconds of the flow, volume held", held.seconds),
+        finding(
+            f"mesh, {MESH_METHOD} flow, nothing held, {change} [of that before]",
+            float(mesh_free.volume[-1] - 1),
+            note=mesh_free.status,
+        ),
+        finding(
+            f"neural, volume held, {change} [of that before]",
+            drift,
+            -0.016 if bunny else None,
+            f"The paper projects its step, which is exact to first order; ours restores the volume. {drifted}",
+            bunny,
+        ),
+        finding(
+            f"neural, volume held, after {steps} steps: sphericity [area of the ball of equal volume, over the area]",
+            held.sphericity,
+        ),
+        finding(
+            f"mesh, volume kept, after {steps} steps: sphericity [area of the ball of equal volume, over the area]",
+            mesh_held.sphericity,
+            note=mesh_held.status,
+        ),
+        finding("neural, nothing held: most pieces of the surface at any step [count]", free.pieces),
+        finding("neural, volume held: most pieces of the surface at any step [count]", held.pieces),
+        finding(f"neural, volume held: time of the {steps} steps [s]", held.seconds),
     ]
 
 
@@ -161,11 +188,10 @@ def _richardson(field: implicit.Field, cells: tuple[int, int]) -> float:
     return (ratio * fine - coarse) / (ratio - 1)
 
 
-def _picture(subject: Subject, runs: Sequence[Run], marks: Sequence[int]) -> Figure:
+def _picture(camera: Camera, subject: Subject, runs: Sequence[Run], marks: Sequence[int]) -> Figure:
     columns = (0, *marks)
     figure = Figure(figsize=(2.2 * len(columns), 2.1 * len(runs)), layout="constrained")
     grid = figure.subplots(len(runs), len(columns), squeeze=False)
-    camera = Camera(azimuth=35.0)
     screen = camera.axes()[:2]
     reach = np.abs((subject.V - subject.V.mean(axis=0)) @ screen.T).max() * 1.05
     middle = screen @ subject.V.mean(axis=0)
@@ -173,8 +199,8 @@ def _picture(subject: Subject, runs: Sequence[Run], marks: Sequence[int]) -> Fig
         for axes in row:
             axes.set_axis_off()
         for axes, (V, F), step in zip(row, run.shapes, columns):
-            view = simplified(View(V, F, np.zeros(len(V))), 20_000)
-            paint(axes, view, np.tile(SURFACE, (len(view.F), 1)), camera)
+            view = View(V, F, np.zeros(len(V)))
+            paint(axes, view, plain_colours(view), camera)
             axes.set_xlim(middle[0] - reach, middle[0] + reach)
             axes.set_ylim(middle[1] - reach, middle[1] + reach)
             axes.set_title(f"{run.name}\nstep {step}, volume {run.volume[step]:.1%}", fontsize=7)
@@ -184,8 +210,8 @@ def _picture(subject: Subject, runs: Sequence[Run], marks: Sequence[int]) -> Fig
 def _curves(runs: Sequence[Run]) -> Figure:
     figure = Figure(figsize=(7.0, 2.8), layout="constrained")
     for axes, what in zip(figure.subplots(1, 2), ("volume", "area")):
-        for run, style in zip(runs, ("C0--", "C0-", "C1--", "C1-")):
-            axes.plot(getattr(run, what), style, label=run.name, linewidth=1.2)
+        for run, style, width in zip(runs, ("C0--", "C0-", "C1--", "C1-"), (2.4, 2.4, 1.2, 1.2)):  # some coincide
+            axes.plot(getattr(run, what), style, label=run.name, linewidth=width)
         axes.set_xlabel("step")
         axes.set_title(f"{what}, of that at the start", fontsize=9)
         axes.set_ylim(0, 1.05)
