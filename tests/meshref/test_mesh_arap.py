@@ -114,8 +114,8 @@ def test_the_rigid_fit_takes_the_smallest_turn_left_open():
         ({"handles": [0, 0, 1]}, "vertex 0 appears 2 times"),
         ({"handles": [0, 1, 999]}, r"handle_vertices\[2\] = 999"),
         ({"handles": [0, 1]}, "targets must have a row for each of the 2 handles, but has 3"),
-        ({"iterations": 0}, "must be positive"),
-        ({"tolerance": 0.0}, "must be positive"),
+        ({"iterations": 0}, "iterations must be a whole number, at least 1"),
+        ({"tolerance": 0.0}, "tolerance must be a positive number"),
         ({"start": np.zeros((2, 3))}, "start must have a row for each of the 42 vertices"),
     ],
 )

@@ -146,5 +146,5 @@ def test_vertex_areas_add_up():
 
 
 def test_an_unknown_weighting_is_refused():
-    with pytest.raises(MeshError, match="weighting must be 'angle' or 'area'"):
+    with pytest.raises(MeshError, match="weighting must be one of 'angle', 'area'"):
         vertex_normals(*box(), weighting="length")
