@@ -12,15 +12,22 @@ from compare.report import report  # here, for a later import of its module woul
 
 if TYPE_CHECKING:
     from compare.case import Case, HandleSpec, default_cases
+    from compare.executors import Workers
     from compare.fit import FitReport, fit_mesh
     from compare.records import Record
     from compare.run import run_case, run_cases
+    from compare.study import Study, find_study
+    from compare.study_folder import run_study
     from compare.subject import InputError, Subject, prepare_subject
 
 # Where each public name lives. Its module is imported when the name is first used.
 _MODULES = {
     "run_case": "run",
     "run_cases": "run",
+    "run_study": "study_folder",
+    "find_study": "study",
+    "Study": "study",
+    "Workers": "executors",
     "Case": "case",
     "HandleSpec": "case",
     "default_cases": "case",
@@ -35,6 +42,10 @@ _MODULES = {
 __all__ = [
     "run_case",
     "run_cases",
+    "run_study",
+    "find_study",
+    "Study",
+    "Workers",
     "Case",
     "HandleSpec",
     "default_cases",

@@ -158,7 +158,9 @@ def edit_mesh(case: Case, subject: Subject, wanted: Wanted, progress: Progress |
     result = meshref.killing(subject.V, subject.F, handles, wanted.displacement[handles], **options)
     seconds, done = perf_counter() - start, result.status is meshref.KillingStatus.SOLVED
     method = "Killing least squares"
-    return Outcome(result.displacement, method, result.status.value, done, seconds, None, dict(result.seconds))
+    return Outcome(
+        result.displacement, method, result.status.value, done, seconds, None, {"seconds": dict(result.seconds)}
+    )
 
 
 def edit_mesh_by_arap(case: Case, subject: Subject, wanted: Wanted) -> Outcome:

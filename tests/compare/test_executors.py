@@ -1,0 +1,162 @@
+"""Where a study runs changes nothing but its times; what becomes of a worker that is killed."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+import torch
+
+import implicit
+import implicit.shapes
+from compare import Case, HandleSpec, Workers, run_cases
+from compare.executors import WorkerDiedError, dask_executor, executor_of
+from compare.records import read
+from compare.subject import InputError
+
+TOP = HandleSpec(
+    {"kind": "halfspace", "point": [0, 0.4, 0], "normal": [0, 1, 0]}, {"kind": "vector", "vector": [0.1, 0, 0]}
+)
+FOOT = HandleSpec(
+    {"kind": "halfspace", "point": [0, -0.4, 0], "normal": [0, -1, 0]}, {"kind": "vector", "vector": [0, 0, 0]}
+)
+FEW = {"steps": 1, "points": 60}
+
+
+@pytest.fixture(scope="module")
+def cases(tmp_path_factory):
+    """Three cases on two subjects, each at little cost."""
+    path = tmp_path_factory.mktemp("shapes") / "ball.safetensors"
+    implicit.save_field(implicit.shapes.sphere(0.6), path)
+    return [
+        Case(str(path), "rigid", (FOOT, TOP), {"implicit": {**FEW, "alpha": alpha}}, vertices, 16)
+        for vertices, alpha in ((150, 1e3), (150, 1e4), (200, 1e3))
+    ]
+
+
+@pytest.fixture(scope="module")
+def in_process(cases, tmp_path_factory):
+    """What the cases give here, one after another."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)  # as workers have: sums over several threads differ in their last digits
+    try:
+        return run_cases(cases, folder=tmp_path_factory.mktemp("here"))
+    finally:
+        torch.set_num_threads(threads)
+
+
+def without_times(record):
+    """All of a record but its seconds and its origin; the hashes of its files are left in."""
+
+    def strip(value):
+        if isinstance(value, dict):
+            kept = (key for key in value if not key.startswith("seconds") and key != "provenance")
+            return {key: strip(value[key]) for key in kept}
+        return [strip(item) for item in value] if isinstance(value, list) else value
+
+    return strip(record.to_dict())
+
+
+def assert_complete_and_equal(records, in_process, folder):
+    assert [record.status for record in records if record.failed] == []
+    assert [without_times(record) for record in records] == [without_times(record) for record in in_process]
+    assert sorted(record.key for record in read(folder)) == sorted(record.key for record in in_process)
+
+
+def test_two_processes_give_what_one_gives_even_if_one_is_killed(cases, in_process, tmp_path):
+    killed = []
+    with Workers(2) as workers:
+
+        def kill_one(_):
+            if not killed:
+                killed.append(workers.pids[0])
+                os.kill(killed[0], signal.SIGKILL)
+
+        records = run_cases(cases, workers, folder=tmp_path, on_record=kill_one)
+    assert killed
+    assert_complete_and_equal(records, in_process, tmp_path)
+    assert {record.provenance["threads"] for record in records} == {1}
+
+
+# What distributed itself leaves behind when one of its workers is killed under it.
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_dask_cluster_gives_what_one_process_gives_even_if_a_worker_is_killed(cases, in_process, tmp_path):
+    distributed = pytest.importorskip("distributed", reason="distributed is not installed")
+    killed = []
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs="CRITICAL"
+    ) as cluster:
+        address = cluster.scheduler_address
+
+        def kill_one(_):
+            if not killed:
+                with distributed.Client(address, set_as_default=False) as client:
+                    killed.append(min(client.run(os.getpid).values()))
+                os.kill(killed[0], signal.SIGKILL)
+
+        with dask_executor(address) as executor:
+            records = run_cases(cases, executor, folder=tmp_path, on_record=kill_one)
+    assert killed
+    assert_complete_and_equal(records, in_process, tmp_path)
+
+
+def die_once(flag):
+    if not flag.exists():
+        flag.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return "done by another"
+
+
+def die():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_task_whose_process_is_killed_is_done_by_a_fresh_one_and_gives_up_in_the_end(tmp_path):
+    with Workers(1) as workers:
+        assert workers.submit(die_once, tmp_path / "flag").result() == "done by another"
+        with pytest.raises(WorkerDiedError, match="2 times; the last exit code was -9"):
+            workers.submit(die).result()
+        assert workers.submit(len, "abc").result() == 3
+
+
+def test_what_a_task_raises_is_raised_here(tmp_path):
+    """An OSError too, which is also what a broken pipe would raise."""
+    with Workers(1) as workers:
+        with pytest.raises(FileNotFoundError):
+            workers.submit(Path.read_bytes, tmp_path / "gone").result()
+        (pid,) = workers.pids
+        assert workers.submit(os.getpid).result() == pid, "the process was taken for dead"
+
+
+def test_an_interruption_ends_the_processes_at_once():
+    workers = Workers(1)
+    pid = workers.submit(os.getpid).result()
+    futures = [workers.submit(time.sleep, 1000) for _ in range(3)]
+
+    def interrupted():
+        with workers:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert all(future.done() for future in futures)
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"workers": -1}, "0 .this process. or more"),
+        ({"workers": 2, "dask": "tcp://127.0.0.1:1"}, "Name one"),
+    ],
+)
+def test_a_place_that_cannot_be_had_is_refused(options, message):
+    with pytest.raises(InputError, match=message), executor_of(**options):
+        pass
+
+
+def test_neither_workers_nor_dask_is_this_process():
+    with executor_of() as executor:
+        assert executor is None
