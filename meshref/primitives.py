@@ -129,7 +129,7 @@ def split_in_four(V: FloatArray, F: IntArray) -> tuple[FloatArray, IntArray]:
 
 def _place(name: str, point: ArrayLike) -> FloatArray:
     """A point (3,) out of an argument."""
-    rows = finite_points([point], name, "coordinates")  # type: ignore[list-item]  # a point of any kind
+    rows = finite_points([point], name, "coordinates")  # type: ignore[arg-type]  # a point of any kind
     return rows[0]
 
 

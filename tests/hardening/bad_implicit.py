@@ -776,7 +776,8 @@ def _of_fits() -> Iterator[BadCase]:
     )
     bad_distances: list[Bad] = [
         ("NaN", distances * np.nan), ("too few", distances[:9]), ("of two axes", distances[:, None]), ("None", None),
-        ("an array", distances.numpy()), ("whole numbers", distances.long()), ("on another device", distances.to("meta")),
+        ("an array", distances.numpy()), ("whole numbers", distances.long()),
+        ("on another device", distances.to("meta")),
     ]  # fmt: skip
     yield from refusals("fit_field", "distances", bad_distances, lambda x: fit(distances=x))
     yield from refusals(
