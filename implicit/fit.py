@@ -23,13 +23,13 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from os import PathLike
 from pathlib import Path
 from time import perf_counter
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
@@ -145,26 +145,11 @@ def fit_field(
     start = perf_counter()
     dimension = _check_samples(points, distances, normals)
     box = _check_bounds(bounds, dimension)
-    for name, count, least in (("steps", steps, 1), ("batch", batch, 4), ("width", width, 1), ("depth", depth, 1)):
-        require_whole(name, count, least)
-    require_whole("seed", seed, 0)
-    lengths = {"seconds": seconds, "learning_rate": learning_rate, "band": band}
-    for name, value in (*lengths.items(), ("first_frequency", first_frequency), ("frequency", frequency)):
-        if value is not None:
-            require_positive(name, value)
-    require_choice("method", method, ("soap", "adam"))
-    require_choice("activation", activation, ("sine", "softplus", "relu"))
-    if not (isinstance(dtype, torch.dtype) and dtype.is_floating_point):
-        raise TypeError(f"dtype must be a floating one such as torch.float32, but is {dtype!r}.")
-    if units is not None and not isinstance(units, Units):
-        raise TypeError(f"units must be None or Units(scale, offset), but are {units!r}.")
-    path = None if checkpoint is None else as_path(checkpoint)
-    if path is not None and not path.absolute().parent.is_dir():
-        raise FileNotFoundError(
-            f"There is no folder {path.parent} to write the checkpoint {path.name} to. Make it first."
-        )
-    if path is not None and path.is_dir():
-        raise ValueError(f"The checkpoint must be a file, but {path} is a folder. Name a file in it.")
+    options = {"width": width, "depth": depth, "activation": activation, "first_frequency": first_frequency}
+    options |= {"frequency": frequency, "steps": steps, "seconds": seconds, "batch": batch, "method": method}
+    options |= {"learning_rate": learning_rate, "band": band, "units": units, "seed": seed, "dtype": dtype}
+    require_training({**options, "checkpoint": checkpoint})
+    path = None if checkpoint is None else Path(checkpoint)
     if learning_rate is None:
         learning_rate = _LEARNING_RATES[method, activation]
 
@@ -205,6 +190,32 @@ def fit_field(
         status=status,
     )
     return field, training
+
+
+def require_training(options: Mapping[str, Any]) -> None:
+    """Refuse options of fit_field, by their names, that cannot be meant, before any work."""
+    for name, least in {"width": 1, "depth": 1, "steps": 1, "batch": 4, "seed": 0}.items():
+        if name in options:
+            require_whole(name, options[name], least)
+    for name in ("seconds", "learning_rate", "band", "first_frequency", "frequency"):
+        if options.get(name) is not None:
+            require_positive(name, options[name])
+    require_choice("method", options.get("method", "soap"), ("soap", "adam"))
+    require_choice("activation", options.get("activation", "sine"), ("sine", "softplus", "relu"))
+    dtype, units = options.get("dtype", torch.float32), options.get("units")
+    if not (isinstance(dtype, torch.dtype) and dtype.is_floating_point):
+        raise TypeError(f"dtype must be a floating one such as torch.float32, but is {dtype!r}.")
+    if units is not None and not isinstance(units, Units):
+        raise TypeError(f"units must be None or Units(scale, offset), but are {units!r}.")
+    if options.get("checkpoint") is None:
+        return
+    path = as_path(options["checkpoint"])
+    if not path.absolute().parent.is_dir():
+        raise FileNotFoundError(
+            f"There is no folder {path.parent} to write the checkpoint {path.name} to. Make it first."
+        )
+    if path.is_dir():
+        raise ValueError(f"The checkpoint must be a file, but {path} is a folder. Name a file in it.")
 
 
 _LEARNING_RATES = {

@@ -164,8 +164,6 @@ def _of_fits() -> Iterator[BadCase]:
     yield from refusals("fit_mesh", "seconds", positives(), lambda x: fit(seconds=x))
     yield from refusals("fit_mesh", "activation", choices(), lambda x: fit(activation=x))
     yield from refusals("fit_mesh", "bodies", choices(), lambda x: fit(bodies=x))
-    yield from refusals("fit_mesh", "colour", [("no option of a fit", "red")], lambda x: fit(colour=x))
-    yield from refusals("fit_mesh", "checkpoint", [("in no folder", "gone/a.safetensors")], lambda x: fit(checkpoint=x))
 
 
 def _command(*arguments: str) -> None:
