@@ -39,6 +39,10 @@ MOTIONS = {
     "rigid": ("rotation", "translation", "center"),
 }
 
+OPTIONAL = {"falloff", "rotation", "translation"}
+SCALARS = {"radius", "falloff", "distance"}  # the others are points or vectors
+POSITIVE = {"radius": 0.0, "falloff": 0.0}
+
 # Settings of default_cases. Three rigid steps: on spot and cactus, five leave 11 and 15 % more energy for 1.6 times the
 # time, as each adds its own ripples, and bring the handles from 0.6 % of the pull to 0.5 %.
 FULL: dict[Operation, dict[str, Any]] = {
@@ -117,18 +121,24 @@ class Case:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.operation not in OPERATIONS:
+        if not isinstance(self.shape, str) or not self.shape:
+            raise TypeError(f"shape must be the name of a bundled shape or of a file, but is {self.shape!r}.")
+        if not isinstance(self.operation, str) or self.operation not in OPERATIONS:
             raise ValueError(f"operation must be one of {', '.join(OPERATIONS)}, but is {self.operation!r}.")
+        if not isinstance(self.handles, tuple | list) or not all(isinstance(h, HandleSpec) for h in self.handles):
+            raise TypeError(f"handles must be HandleSpecs in a tuple, but are {self.handles!r}.")
         if (self.operation == "smooth") == bool(self.handles):
             raise ValueError(
                 f"A {self.operation} case {'takes no' if self.handles else 'needs'} handles, "
                 f"but has {len(self.handles)}."
             )
-        if self.vertices < 100 or self.resolution < 8:
-            raise ValueError(
-                "A case needs at least 100 vertices and a resolution of 8, "
-                f"but has {self.vertices} and {self.resolution}."
-            )
+        _require_whole("vertices", self.vertices, 100)
+        _require_whole("resolution", self.resolution, 8)
+        _require_whole("seed", self.seed, 0)
+        try:
+            json.dumps(dict(self.parameters), allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"parameters must be a dictionary that JSON can say, but are not: {error}.") from error
 
     @cached_property
     def key(self) -> str:
@@ -161,8 +171,16 @@ class Case:
 
     @classmethod
     def from_dict(cls, row: Mapping[str, Any]) -> Case:
-        """The case that `to_dict` wrote."""
-        return cls(**{**row, "handles": tuple(HandleSpec(**h) for h in row["handles"])})
+        """The case that `to_dict` wrote.
+
+        Raises:
+            ValueError: The row is no case.
+        """
+        known = {f.name for f in dataclasses.fields(cls)}
+        if not isinstance(row, Mapping) or set(row) != known or not isinstance(row["handles"], list | tuple):
+            raise ValueError(f"A case must be a row of {', '.join(sorted(known))}, but is {row!r:.200}.")
+        handles = [HandleSpec(**handle) for handle in row["handles"]]
+        return cls(**{**row, "handles": tuple(handles)})
 
     def to_json(self) -> str:
         """One line of JSON."""
@@ -170,8 +188,16 @@ class Case:
 
     @classmethod
     def from_json(cls, text: str) -> Case:
-        """The case that `to_json` wrote."""
-        return cls.from_dict(json.loads(text))
+        """The case that `to_json` wrote.
+
+        Raises:
+            ValueError: The text is no case.
+        """
+        try:
+            row = json.loads(text)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"A case must be a line of JSON, but is {text!r:.200} ({error}).") from error
+        return cls.from_dict(row)
 
 
 def default_cases(
@@ -199,6 +225,13 @@ def default_cases(
         fit: Options of the fit, for a shape given as a mesh.
         settings: Further arguments of Case: vertices, resolution, seed.
     """
+    for name, array in (("V", V), ("N", N)):
+        if not isinstance(array, ndarray) or array.dtype.kind != "f" or array.shape != (len(V), 3) or len(V) == 0:
+            raise TypeError(f"{name} must be an array (n, 3) of real numbers, a row a point, but is {array!r:.200}.")
+        if not np.isfinite(array).all():
+            raise ValueError(f"{name} must be finite, but holds NaN or infinite numbers. Take out those points.")
+    if not isinstance(operations, list | tuple) or not set(operations) <= set(OPERATIONS):
+        raise ValueError(f"operations must be a list of {', '.join(OPERATIONS)}, but are {operations!r}.")
     lower, upper = V.min(axis=0), V.max(axis=0)
     sides = upper - lower
     up = int(np.argmax(sides))
@@ -262,17 +295,41 @@ def _rounded(point: ndarray) -> list[float]:
 
 
 def _require_numbers(what: str, given: Mapping[str, Any], kinds: Mapping[str, tuple[str, ...]]) -> None:
+    if not isinstance(given, Mapping):
+        raise TypeError(f"A {what} must be a dictionary with its kind and numbers, but is {given!r}.")
     kind = str(given.get("kind"))
     if kind not in kinds:
         raise ValueError(f"The kind of a {what} must be one of {', '.join(kinds)}, but is {kind!r}.")
-    unknown = set(given) - {"kind", *kinds[kind]}
-    if unknown:
+    takes = kinds[kind]
+    unknown, missing = set(given) - {"kind", *takes}, set(takes) - OPTIONAL - set(given)
+    if unknown or (missing and kind != "rigid"):
+        raise ValueError(f"A {what} of kind {kind!r} must have {', '.join(takes)}, but has {', '.join(given)}.")
+    for name in takes:
+        if name in given:
+            _require_number(f"{name} of a {what}", given[name], POSITIVE.get(name), 1 if name in SCALARS else 3)
+    if kind == "box" and not all(a < b for a, b in zip(given["lower"], given["upper"])):
+        raise ValueError(f"lower must be below upper in the region, but they are {given['lower']}, {given['upper']}.")
+    if kind == "halfspace" and not np.any(given["normal"]):
+        raise ValueError("normal of a region must point somewhere, but is zero.")
+
+
+def _require_number(name: str, value: Any, least: float | None, count: int) -> None:
+    try:
+        numbers = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        numbers = np.full(count, np.nan)
+    if numbers.shape != ((3,) if count == 3 else ()) or not np.isfinite(numbers).all():
+        wanted = "three finite numbers" if count == 3 else "a finite number"
+        raise ValueError(f"{name} must be {wanted}, but is {value!r}.")
+    if least is not None and not (numbers > least if name.startswith("radius") else numbers >= least):
         raise ValueError(
-            f"A {what} of kind {kind!r} takes {', '.join(kinds[kind])}, but got {', '.join(sorted(unknown))}."
+            f"{name} must be {'positive' if name.startswith('radius') else 'at least 0'}, but is {value!r}."
         )
-    for name, numbers in given.items():
-        if name != "kind" and not np.isfinite(np.asarray(numbers, dtype=float)).all():
-            raise ValueError(f"{name} of a {what} must be finite, but is {numbers}.")
+
+
+def _require_whole(name: str, value: Any, least: int) -> None:
+    if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
+        raise ValueError(f"{name} must be a whole number, at least {least}, but is {value!r}.")
 
 
 def _digest(row: Mapping[str, Any]) -> str:

@@ -70,6 +70,9 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     except InputError as error:
         print(f"implicit-vs-mesh: {error}", file=sys.stderr)
         code = exits.INPUT
+    except OSError as error:  # a disk that is full, a folder that has gone: what is written so far is whole
+        print(f"implicit-vs-mesh: {error}", file=sys.stderr)
+        code = exits.FAILED
     except KeyboardInterrupt as interruption:  # whose words, if any, say what is kept and how to go on
         print(f"implicit-vs-mesh: interrupted. {interruption}".rstrip(), file=sys.stderr)
         code = exits.INTERRUPTED

@@ -21,7 +21,7 @@ from numpy import ndarray
 import implicit
 import meshref
 from implicit.field import Field, Units
-from implicit.fit import FitStatus, Training, fit_field
+from implicit.fit import FitStatus, Training, fit_field, require_training
 
 SIDE = 1.6  # longest side of the mesh's box in the field's coordinates
 
@@ -126,6 +126,15 @@ def fit_mesh(
         ValueError: An option of the training is out of range.
     """
     start = perf_counter()
+    options = {
+        "width": width,
+        "depth": depth,
+        "activation": activation,
+        "steps": steps,
+        "seconds": seconds,
+        "seed": seed,
+    }
+    require_training({**options, "checkpoint": checkpoint, **training})
     V, F, mending = meshref.mend_mesh(V, F, bodies=bodies, hole_limit=hole_limit)
     V, units = place_in_cube(V)
     query = meshref.SignedDistanceQuery(V, F)

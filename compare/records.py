@@ -13,6 +13,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field as default
 from os import PathLike
 from pathlib import Path
@@ -68,11 +69,15 @@ class Record:
         Raises:
             ValueError: The row is of a newer schema, or no record.
         """
+        if not isinstance(row, Mapping):
+            raise ValueError(f"The row must be a dictionary, but is a {type(row).__name__}.")
         if row.get("schema") != SCHEMA:
             raise ValueError(
-                f"The row is of schema {row.get('schema')}, but this version reads {SCHEMA}. Read it with the version "
-                "that wrote it, or run the case again."
+                f"The row is of schema {row.get('schema')}, but must be of {SCHEMA} for this version. Read it with the "
+                "version that wrote it, or run the case again."
             )
+        if missing := [name for name in ("case", "key", "status", "notes", "artefacts") if row.get(name) is None]:
+            raise ValueError(f"The row must have {missing[0]}, but has none. Run the case again.")
         known = {f.name for f in dataclasses.fields(cls)}
         rest = {k: v for k, v in row.items() if k in known}
         rest["notes"] = tuple(row["notes"])
@@ -85,14 +90,18 @@ def append(path: str | PathLike[str], record: Record) -> None:
     """Add one row to the file, whole or not at all."""
     line = json.dumps(record.to_dict(), allow_nan=False, separators=(",", ":")).encode() + b"\n"
     _cut_torn_line(Path(path))
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     try:
-        written = os.write(descriptor, line)
-        if written != len(line):
-            raise OSError(f"Only {written} of {len(line)} bytes could be written to {path}. Is the disk full?")
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+        try:
+            written = os.write(descriptor, line)
+            if written == len(line):
+                os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        raise _unwritten(Path(path), error.strerror) from error
+    if written != len(line):
+        raise _unwritten(Path(path), f"only {written} of {len(line)} bytes found room")
 
 
 def read(path: str | PathLike[str]) -> list[Record]:
@@ -143,13 +152,29 @@ def _cut_torn_line(path: Path) -> None:
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Write a file to the side and move it there in one step, so that nobody sees half of it."""
+    """Write a file to the side and move it there in one step, so that nobody sees half of it.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    if path.is_dir():
+        raise IsADirectoryError(f"{path} is a folder and cannot be written as a file. Name a file in it.")
     side = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         side.write_bytes(content)
         os.replace(side, path)
+    except OSError as error:
+        raise _unwritten(path, error.strerror) from error
     finally:
-        side.unlink(missing_ok=True)
+        with suppress(OSError):
+            side.unlink()
+
+
+def _unwritten(path: Path, why: str | None) -> OSError:
+    return OSError(
+        f"{path} cannot be written: {why}. Name a folder that is there and may be written to, on a disk with room; what "
+        "stood there before is untouched."
+    )
 
 
 def plain(value: Any) -> Any:

@@ -62,8 +62,10 @@ def report(records: Sequence[Record], path: str | PathLike[str], *, folder: str 
         FileNotFoundError: A mesh that a record names is gone.
         ValueError: There are no records.
     """
-    if not records:
-        raise ValueError("A report needs at least one record, but there are none. Run a case first.")
+    if not records or not isinstance(records, list | tuple):
+        raise ValueError(f"A report needs at least one record, but records are {records!r:.100}. Run a case first.")
+    if not all(isinstance(record, Record) for record in records):
+        raise TypeError(f"records must be Records, as run_cases gives them, but are {records!r:.100}.")
     path = Path(path)
     folder = path.parent if folder is None else Path(folder)
     page = Template((Path(__file__).parent / "report.html").read_text(encoding="utf-8"))

@@ -116,6 +116,10 @@ def run_cases(
     Returns:
         The records in the order of the cases, those found in the folder included.
     """
+    if not isinstance(cases, list | tuple) or not all(isinstance(case, Case) for case in cases):
+        raise TypeError(f"cases must be a list of Case(shape, operation, ...), but are {cases!r:.200}.")
+    if executor is not None and not callable(getattr(executor, "submit", None)):
+        raise TypeError(f"executor must be None or a concurrent.futures.Executor, but is {executor!r}.")
     folder = None if folder is None else Path(folder).absolute()
     done: dict[str, Record] = {}
     if folder is not None and (folder / records.FILE).is_file():

@@ -62,9 +62,27 @@ def check_shape(shape: str) -> list[str]:
     Raises:
         InputError: There is no such shape or file, or the mesh is beyond mending.
     """
+    suffix = _require_file(shape)
+    if suffix is None:
+        return []
+    if suffix == FIELD_SUFFIX:
+        import implicit
+
+        try:
+            loaded = implicit.load_field(shape)
+        except (ValueError, TypeError, OSError) as error:
+            raise InputError(f"{shape}: {error}") from error
+        if loaded.dimension != 3:
+            raise InputError(f"{shape} holds a field in {loaded.dimension} dimensions, but a comparison needs 3.")
+        return []
+    return load_mesh(shape)[2]
+
+
+def _require_file(shape: str) -> str | None:
+    """The ending of the file that holds a shape, None for a bundled one, or a refusal of what is neither."""
     path = Path(shape)
     if shape in BUNDLED:
-        return []
+        return None
     suffix = path.suffix.lower()
     if suffix not in (*MESH_SUFFIXES, FIELD_SUFFIX):
         close = difflib.get_close_matches(shape, BUNDLED, n=1)
@@ -77,17 +95,7 @@ def check_shape(shape: str) -> list[str]:
         raise InputError(f"There is no file {shape}. Check the path; bundled shapes are {', '.join(BUNDLED)}.")
     if path.stat().st_size == 0:
         raise InputError(f"The file {shape} is empty. Write it again.")
-    if suffix == FIELD_SUFFIX:
-        import implicit
-
-        try:
-            loaded = implicit.load_field(shape)
-        except (ValueError, TypeError, OSError) as error:
-            raise InputError(f"{shape}: {error}") from error
-        if loaded.dimension != 3:
-            raise InputError(f"{shape} holds a field in {loaded.dimension} dimensions, but a comparison needs 3.")
-        return []
-    return load_mesh(shape)[2]
+    return suffix
 
 
 def load_mesh(path: str) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"], list[str]]:
@@ -127,6 +135,9 @@ def prepare_subject(case: Case, *, folder: Path | None = None, progress: Progres
     import implicit
     from implicit.shapes import bundled
 
+    if not isinstance(case, Case):
+        raise TypeError(f"case must be a Case(shape, operation, ...), but is {case!r}.")
+    _require_file(case.shape)
     files = None if folder is None else _Files(folder / "subjects" / f"{case.name}-{case.subject_key}")
     if files is not None and files.complete:
         return files.read()

@@ -15,7 +15,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from implicit.field import Field, Parameter
+from implicit.arguments import require_whole
+from implicit.field import Field, Parameter, require_field
 from implicit.sensitivity import normal_displacement
 
 
@@ -51,15 +52,16 @@ def basis_function(field: Field, parameter: int | str) -> BasisFunction:
     Raises:
         ValueError: There is no such parameter.
     """
+    require_field(field)
     if isinstance(parameter, str):
         return BasisFunction(field, parameter, _index(field, parameter))
-    if not 0 <= parameter < len(field.theta):
-        raise ValueError(f"parameter must be at least 0 and below {len(field.theta)}, but is {parameter}.")
+    require_whole("parameter", parameter, 0, "", len(field.theta) - 1)
     return BasisFunction(field, _name(field, parameter), parameter)
 
 
 def one_weight_per_layer(field: Field, seed: int = 0) -> list[BasisFunction]:
     """A random weight of each layer, in the order in which the module holds its layers: of increasing depth."""
+    require_field(field)
     generator = torch.Generator().manual_seed(seed)
     chosen = []
     for block in field.layout:
@@ -87,7 +89,10 @@ def _index(field: Field, name: str) -> int:
     if not place and block.shape.numel() == 1:
         return block.where.start
     if len(place) != len(block.shape) or not all(k < side for k, side in zip(place, block.shape, strict=True)):
-        raise ValueError(f"{block.name} has the shape {tuple(block.shape)}, but the place in {name!r} is {place}.")
+        raise ValueError(
+            f"The place in {name!r} must fit the shape {tuple(block.shape)} of {block.name}, counted from 0, but is "
+            f"{place}."
+        )
     offset = 0
     for k, side in zip(place, block.shape, strict=True):
         offset = offset * side + k

@@ -18,13 +18,14 @@ import re
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from os import PathLike
-from pathlib import Path
 from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from implicit.arguments import require_choice
+from implicit.files import as_path
 from implicit.models.deepsdf import DeepSdf
 from implicit.models.dualsdf import DualSdf
 from implicit.models.imnet import ImNet
@@ -71,8 +72,7 @@ def load_checkpoint(
         ValueError: The file is cut short, holds anything but tensors, or a tensor is missing, has another shape than
             the layout says, is not finite, or belongs to no layer. The first one is named.
     """
-    if architecture not in _FIRST:
-        raise ValueError(f"architecture must be one of {', '.join(_FIRST)}, but is {architecture!r}.")
+    require_choice("architecture", architecture, tuple(_FIRST))
     content = read_tensors(path)
     state = _state_of(content, architecture, path)
     arguments: Callable[[State], Decoder] = _BUILDERS[architecture]
@@ -104,9 +104,9 @@ def read_tensors(path: str | PathLike[str]) -> dict[str, Any]:
     from safetensors import SafetensorError
     from safetensors.torch import load_file
 
-    path = Path(path)
+    path = as_path(path)
     if not path.is_file():
-        raise FileNotFoundError(f"There is no checkpoint {path}.")
+        raise FileNotFoundError(f"There is no checkpoint file {path}. Check the path.")
     try:
         if path.suffix == ".safetensors":
             return dict(load_file(path))

@@ -11,8 +11,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from implicit.extraction import newton_to_surface
-from implicit.field import Field
+from implicit.arguments import require_callable, require_positive, require_whole
+from implicit.extraction import newton_to_surface, require_resolution
+from implicit.field import Field, require_field
 from implicit.soundness import Soundness
 from implicit.surface import SurfaceSample
 
@@ -25,6 +26,27 @@ LEAST_COSINE = 0.5
 
 # An edit whose error field has at most this root mean square, over the area that was to move, has reached its target.
 REACHED_SHARE = 0.1
+
+
+def require_options(
+    field: Field,
+    *,
+    damping: float | None = None,
+    resolution: int = 48,
+    track: Tensor | None = None,
+    progress: Progress | None = None,
+    seed: int = 0,
+) -> None:
+    """Refuse what no edit can use, before any work."""
+    require_field(field)
+    if damping is not None:
+        require_positive("damping", damping, or_zero=True)
+    require_resolution("resolution", resolution)
+    if track is not None:
+        field.require_points(track, "track")
+    if progress is not None:
+        require_callable("progress", progress, "a function of the step, the number of steps and the record")
+    require_whole("seed", seed, 0)
 
 
 class EditStatus(Enum):

@@ -72,9 +72,7 @@ def evolve(
     began = time.perf_counter()
     guard = Guard(field, constraints, holding or Holding(resolution=resolution), always=changing)
     loop = _Loop(field, operation, guard, changing)
-    carried = (
-        start.points if track is None else torch.cat([start.points, require_on_surface(field, track, "track points")])
-    )
+    carried = start.points if track is None else torch.cat([start.points, require_on_surface(field, track, "track")])
     own = len(start.points)
     history: list[Row] = []
     trail: list[Tensor] = []

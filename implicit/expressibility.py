@@ -18,8 +18,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from implicit.arguments import require_positive, require_whole
 from implicit.displacement import OFF_SURFACE_STRENGTH, Displacement, Splitting
-from implicit.edit import REACHED_SHARE, EditStatus
+from implicit.edit import REACHED_SHARE, EditStatus, require_options
 from implicit.evolve import first_solve
 from implicit.field import Field
 from implicit.goal import Goal, Rest, checked_handles
@@ -114,9 +115,11 @@ def expressibility(
     Raises:
         ValueError: As for geometric_edit, or not even its first step can be taken.
     """
+    require_options(field, damping=damping, seed=seed)
     listed = checked_handles(handles)
-    if parts < 1:
-        raise ValueError(f"parts must be at least 1, but is {parts}.")
+    require_whole("parts", parts)
+    require_whole("points", points)
+    require_positive("off_surface_strength", off_surface_strength, or_zero=True)
 
     def goal_of(points: Tensor, normals: Tensor) -> Goal:
         return Goal(listed, points, normals, rest, least_alignment=least_alignment)

@@ -11,8 +11,12 @@ from jaxtyping import Float
 from numpy.typing import NDArray
 from torch import Tensor
 
-from implicit.field import Field, SurfaceError
+from implicit.arguments import require_positive, require_whole
+from implicit.field import Field, SurfaceError, require_field
 from implicit.marching import MEMORY_LIMIT, Grid, march
+
+# More cells along a side than any memory holds in three dimensions, or in two.
+MOST_CELLS = 1_000_000
 
 Vertices = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -38,12 +42,18 @@ def extract_mesh(field: Field, resolution: int = 128, *, memory_limit: float = M
     return points.double().cpu().numpy(), faces.cpu().numpy()
 
 
+def require_resolution(name: str, cells: int) -> None:
+    """Refuse a resolution that is no number of cells."""
+    require_whole(name, cells, 4, "cells along the longest side", MOST_CELLS)
+
+
 def marched_surface(
     field: Field, resolution: int, memory_limit: float = MEMORY_LIMIT
 ) -> tuple[Float[Tensor, "n d"], Tensor]:
     """As extract_mesh, but as tensors of the field's dtype and device."""
-    if resolution < 4:
-        raise ValueError(f"resolution must be at least 4 cells along the longest side, but is {resolution}.")
+    require_field(field)
+    require_resolution("resolution", resolution)
+    require_positive("memory_limit", memory_limit if memory_limit != float("inf") else 1.0, "number of bytes")
     grid = Grid.over(field, resolution)
     grid.require_memory(memory_limit)
     start, faces = march(field, grid)
@@ -124,8 +134,11 @@ def project_to_surface(
     Raises:
         SurfaceError: A point does not arrive.
     """
-    field.require_points(points)
+    require_field(field).require_points(points)
     reach = field.size / 2 if reach is None else reach
+    require_positive("reach", reach, "length")
+    if tolerance is not None:
+        require_positive("tolerance", tolerance, "length")
     moved, arrived = newton_to_surface(field, points, reach=reach, tolerance=tolerance)
     if not bool(arrived.all()):
         i = int((~arrived).nonzero()[0])
@@ -145,12 +158,12 @@ def require_on_surface(field: Field, points: Float[Tensor, "n d"], name: str) ->
     Raises:
         SurfaceError: A point is off the surface.
     """
-    points = field.require_points(points)
+    points = field.require_points(points, name)
     placed, arrived = newton_to_surface(field, points, reach=0.02 * field.size)
     if not bool(arrived.all()):
         i = int((~arrived).nonzero()[0])
         raise SurfaceError(
-            f"{name} must lie on the surface, but points[{i}] = {points[i].tolist()} is farther than "
+            f"{name} must lie on the surface, but {name}[{i}] = {points[i].tolist()} is farther than "
             f"{0.02 * field.size:.3g} from it. Move them there first with project_to_surface."
         )
     return placed

@@ -19,6 +19,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.func import functional_call
 
+from implicit.arguments import require_callable, require_choice, require_finite, require_numbers, require_positive
+
 Bounds = tuple[Sequence[float], Sequence[float]]
 CUBE: Bounds = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
 
@@ -35,6 +37,11 @@ class Units:
 
     scale: float = 1.0
     offset: tuple[float, ...] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        require_positive("scale of Units", self.scale)
+        if require_numbers("offset of Units", self.offset, "a number for each coordinate").ndim != 1:
+            raise ValueError(f"offset of Units must be a number for each coordinate, but is {self.offset!r}.")
 
     def to_user(self, points: Tensor) -> Tensor:
         """Points (..., D) of the field in the user's units."""
@@ -87,6 +94,11 @@ class Field:
         bounds: Bounds = CUBE,
         units: Units | None = None,
     ) -> None:
+        if not isinstance(module, nn.Module):
+            raise TypeError(
+                f"module must be a torch module, but is a {type(module).__name__}. Wrap a function in one, or give "
+                "decoder_field a function of points and a code."
+            )
         blocks = _selected(module, parameters)
         theta = torch.cat([block.detach().reshape(-1) for block in blocks.values()])
         evaluator = _frozen_copy(module)
@@ -115,17 +127,21 @@ class Field:
         bounds: Bounds,
         units: Units | None,
     ) -> None:
-        if inside not in ("negative", "positive"):
-            raise ValueError(
-                f'inside must be "negative" or "positive", but is {inside!r}. Use "positive" for occupancies.'
-            )
+        require_choice("inside", inside, ("negative", "positive"))
+        require_finite("level", level)
         if not torch.isfinite(theta).all():
-            raise ValueError("The parameters hold NaN or infinite numbers. Load or train the module again.")
-        box = torch.as_tensor(bounds, dtype=theta.dtype, device=theta.device)
+            raise ValueError(
+                "The parameters must be finite, but hold NaN or infinite numbers. Load or train the module again."
+            )
+        box = require_numbers("bounds", bounds, "a lower and an upper corner").to(theta)
         if box.ndim != 2 or box.shape[0] != 2 or box.shape[1] not in (2, 3) or not bool((box[0] < box[1]).all()):
             raise ValueError(
                 "bounds must be a lower and an upper corner in 2 or 3 dimensions, the lower one smaller in each "
                 f"coordinate, but is {bounds}."
+            )
+        if units is not None and (not isinstance(units, Units) or len(units.offset) != box.shape[1]):
+            raise ValueError(
+                f"units must be Units with an offset of {box.shape[1]} numbers, as the bounds, but are {units!r}."
             )
         self.theta: Float[Tensor, " p"] = theta.clone()
         self.level = float(level)
@@ -146,12 +162,12 @@ class Field:
                 values = self._raw(self.theta, probe)
             except Exception as error:
                 raise TypeError(
-                    f"The module could not be evaluated at points of shape (3, {self.dimension}), dtype {self.dtype}: "
-                    f"{error}. It must map points (N, {self.dimension}) to N values."
+                    f"The module or decoder could not be evaluated at points of shape (3, {self.dimension}), dtype "
+                    f"{self.dtype}: {error}. It must map points (N, {self.dimension}) to N values."
                 ) from error
-        if not isinstance(values, Tensor) or values.numel() != 3:
-            came = tuple(values.shape) if isinstance(values, Tensor) else type(values).__name__
-            raise TypeError(f"The module must map 3 points to 3 values, but gave {came}. Wrap it so that it does.")
+        if not isinstance(values, Tensor) or values.numel() != 3 or not values.is_floating_point():
+            came = f"{tuple(values.shape)}, {values.dtype}" if isinstance(values, Tensor) else type(values).__name__
+            raise TypeError(f"The module must map 3 points to 3 real values, but gave {came}. Wrap it so that it does.")
 
     # What it is
 
@@ -259,14 +275,23 @@ class Field:
 
     def with_theta(self, theta: Float[Tensor, " p"]) -> Field:
         """The same field at other parameters; the two share the module, not the parameters."""
-        if theta.shape != self.theta.shape:
-            raise ValueError(f"theta must have shape {tuple(self.theta.shape)}, but has {tuple(theta.shape)}.")
+        if not isinstance(theta, Tensor) or theta.shape != self.theta.shape or theta.is_meta:
+            came = f"{tuple(theta.shape)} on {theta.device}" if isinstance(theta, Tensor) else type(theta).__name__
+            raise ValueError(f"theta must be a tensor of shape {tuple(self.theta.shape)}, but is {came}.")
         other = copy.copy(self)
         other.theta = theta.detach().to(self.theta).clone()
         return other
 
     def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> Field:
         """The same field in another precision or on another device; `write_back` still reaches the original."""
+        if dtype is not None and not (isinstance(dtype, torch.dtype) and dtype.is_floating_point):
+            raise TypeError(f"dtype must be a floating one such as torch.float64, but is {dtype!r}.")
+        try:
+            target = self.device if device is None else torch.device(device)
+        except RuntimeError as error:
+            raise ValueError(f"device must be one of torch, such as cpu or cuda, but is {device!r}.") from error
+        if target.type == "meta":
+            raise ValueError("device must hold numbers, but the meta device holds none. Take cpu or cuda.")
         other = copy.copy(self)
         other.theta = self.theta.to(dtype=dtype, device=device)
         other.bounds = self.bounds.to(dtype=dtype, device=device)
@@ -289,28 +314,44 @@ class Field:
         """Store theta in the module (or latent code) that the field was made from, in place."""
         self._store(self.theta)
 
-    def require_points(self, points: Tensor) -> Tensor:
+    def require_points(self, points: Tensor, name: str = "points") -> Tensor:
         """The points as given, or a clear refusal: shape (N, D), finite, in the field's dtype and device."""
         if not isinstance(points, Tensor):
             raise TypeError(
-                f"points must be a torch tensor of shape (N, {self.dimension}), but is a {type(points).__name__}. "
-                "Convert it with torch.as_tensor(points, dtype=field.dtype, device=field.device)."
+                f"{name} must be a torch tensor of shape (N, {self.dimension}), but is a {type(points).__name__}. "
+                f"Convert it with torch.as_tensor({name}, dtype=field.dtype, device=field.device)."
             )
         if points.ndim != 2 or points.shape[1] != self.dimension:
-            raise ValueError(f"points must have shape (N, {self.dimension}), but have {tuple(points.shape)}.")
+            raise ValueError(f"{name} must have shape (N, {self.dimension}), but have {tuple(points.shape)}.")
         if points.dtype != self.dtype or points.device != self.device:
             raise ValueError(
-                f"points must be {self.dtype} on {self.device} like the field, but are {points.dtype} on "
-                f"{points.device}. Use points.to(field.theta), or field.to(...)."
+                f"{name} must be {self.dtype} on {self.device} like the field, but are {points.dtype} on "
+                f"{points.device}. Use {name}.to(field.theta), or field.to(...)."
             )
         if not bool(torch.isfinite(points).all()):
             i = int((~torch.isfinite(points)).any(dim=1).nonzero()[0])
-            raise ValueError(f"points[{i}] is not finite: {points[i].tolist()}. Remove or mend it.")
+            raise ValueError(f"{name}[{i}] is not finite: {points[i].tolist()}. Remove or mend it.")
+        return points
+
+    def in_precision(self, points: Tensor) -> Tensor:
+        """Real points in the field's precision; anything else as it is, for require_points to refuse."""
+        if isinstance(points, Tensor) and points.is_floating_point():
+            return points.to(self.dtype)
         return points
 
     def require_finite(self, theta: Tensor) -> bool:
         """Whether parameters may be taken: a step to NaN or infinity is never made."""
         return bool(torch.isfinite(theta).all())
+
+
+def require_field(field: Field) -> Field:
+    """The field as given, or a clear refusal of what is none."""
+    if not isinstance(field, Field):
+        raise TypeError(
+            f"field must be a Field, but is a {type(field).__name__}. Make one of a torch module by Field(module), of "
+            "a file by load_field(path), of a mesh by compare.fit_mesh(V, F)."
+        )
+    return field
 
 
 def decoder_field(
@@ -334,14 +375,20 @@ def decoder_field(
         weights: Names or patterns of the decoder's own parameters to edit together with the code; None edits the code
             alone.
     """
-    if latent.ndim != 1:
-        raise ValueError(f"latent must be one code of shape (L,), but has shape {tuple(latent.shape)}.")
+    require_callable("decoder", decoder, "a function or module of points (N, D) and a code (L,)")
+    if not isinstance(latent, Tensor) or not latent.is_floating_point():
+        raise TypeError(f"latent must be a floating tensor of shape (L,), but is {getattr(latent, 'dtype', latent)!r}.")
+    if latent.ndim != 1 or len(latent) == 0 or latent.is_meta or not bool(torch.isfinite(latent).all()):
+        raise ValueError(
+            f"latent must be one code of shape (L,), of finite numbers, but has shape {tuple(latent.shape)} and is "
+            f"{latent}."
+        )
     level = getattr(decoder, "level", 0.0) if level is None else level
     side: Literal["negative", "positive"] = getattr(decoder, "inside", "negative") if inside is None else inside
     bounds = getattr(decoder, "bounds", CUBE) if bounds is None else bounds
     if weights is not None:
         if not isinstance(decoder, nn.Module):
-            raise TypeError(f"Only the weights of a torch module can be edited, but the decoder is a {type(decoder)}.")
+            raise TypeError(f"weights need a decoder that is a torch module, but it is a {type(decoder).__name__}.")
         patterns = [weights] if isinstance(weights, str) else list(weights)
         chosen = ["latent", *(f"decoder.{pattern}" for pattern in patterns)]
         both = _WithCode(decoder, latent)
@@ -389,9 +436,10 @@ def save_field(field: Field, path: str | PathLike[str]) -> None:
     """
     from safetensors.torch import save
 
-    from implicit.files import replace_file
+    from implicit.files import as_path, replace_file
 
-    module = field.module
+    path = as_path(path)
+    module = require_field(field).module
     describe = getattr(module, "describe", None)
     if module is None or not callable(describe):
         raise TypeError(
@@ -425,13 +473,13 @@ def load_field(path: str | PathLike[str], *, device: torch.device | str = "cpu")
         FileNotFoundError: There is no such file.
         ValueError: The file is cut short, is no field, or its weights do not fit its architecture.
     """
-    from pathlib import Path
-
     from safetensors import SafetensorError, safe_open
 
+    from implicit.files import as_path
     from implicit.models import build
 
-    if not Path(path).is_file():
+    path = as_path(path)
+    if not path.is_file():
         raise FileNotFoundError(
             f"There is no field file {fspath(path)}. Make one with save_field or fit it from a mesh."
         )
@@ -470,26 +518,35 @@ def load_field(path: str | PathLike[str], *, device: torch.device | str = "cpu")
             return decoder_field(module, code.to(device), **place)
         return Field(module, parameters=header["parameters"], **place)
     except (KeyError, TypeError, RuntimeError, ValueError) as error:
-        raise ValueError(f"{fspath(path)} does not fit the architecture that it names: {error}") from error
+        raise ValueError(
+            f"{fspath(path)} does not fit the architecture that it names: {error}. Write it again with save_field."
+        ) from error
 
 
 def _selected(module: nn.Module, patterns: Iterable[str] | None) -> dict[str, nn.Parameter]:
     """The parameters to edit, by name, all of one floating dtype on one device."""
     named = dict(module.named_parameters())
     if patterns is not None:
-        patterns = [patterns] if isinstance(patterns, str) else list(patterns)
+        if not isinstance(patterns, Iterable):
+            raise TypeError(f"parameters must be names or patterns of names, but are {patterns!r}.")
+        patterns = [patterns] if isinstance(patterns, str) else [str(pattern) for pattern in patterns]
         for pattern in patterns:
             if not any(fnmatchcase(name, pattern) for name in named):
                 raise ValueError(
-                    f"No parameter of the module matches {pattern!r}. It has {', '.join(named) or 'none'}."
+                    f"parameters must be names or patterns of the module's own, but {pattern!r} matches none of "
+                    f"{', '.join(named) or 'none'}."
                 )
         named = {name: p for name, p in named.items() if any(fnmatchcase(name, pattern) for pattern in patterns)}
     if not named:
-        raise ValueError("The module has no parameters to edit. For a latent code use decoder_field.")
+        raise ValueError("The module must have parameters to edit, but has none. For a latent code use decoder_field.")
     kinds = {(p.dtype, p.device) for p in named.values()}
     if len(kinds) > 1 or not next(iter(kinds))[0].is_floating_point:
         raise ValueError(
             f"The parameters must share one floating dtype and device, but have {sorted(map(str, kinds))}."
+        )
+    if next(iter(kinds))[1].type == "meta":
+        raise ValueError(
+            "The parameters must hold numbers, but are on the meta device. Load the module to the CPU or a GPU."
         )
     return named
 

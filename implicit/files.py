@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,9 +13,23 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 
+def as_path(path: str | PathLike[str]) -> Path:
+    """The path of a file, or a clear refusal of what is none."""
+    try:
+        return Path(path)
+    except TypeError as error:
+        raise TypeError(f"path must be the name of a file, but is {path!r}.") from error
+
+
 def replace_file(path: str | PathLike[str], content: bytes) -> None:
-    """Put the content at the path in one move; until then an older file there stays whole."""
+    """Put the content at the path in one move; until then an older file there stays whole.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
     target = Path(path)
+    if target.is_dir():
+        raise IsADirectoryError(f"{target} is a folder and cannot be written as a file. Name a file in it.")
     side = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
         with open(side, "wb") as file:
@@ -22,8 +37,14 @@ def replace_file(path: str | PathLike[str], content: bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
         os.replace(side, target)
+    except OSError as error:
+        raise OSError(
+            f"{target} cannot be written: {error.strerror}. Name a file in a folder that is there and may be written "
+            "to, on a disk with room; what stood there before is untouched."
+        ) from error
     finally:
-        side.unlink(missing_ok=True)
+        with suppress(OSError):
+            side.unlink()
 
 
 def write_state(path: str | PathLike[str], tensors: Mapping[str, Tensor], header: Mapping[str, str]) -> None:

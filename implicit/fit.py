@@ -23,20 +23,21 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from os import PathLike
 from pathlib import Path
 from time import perf_counter
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from implicit.arguments import require_choice, require_numbers, require_positive, require_whole
 from implicit.field import CUBE, Bounds, Field, Units
-from implicit.files import read_state, write_state
+from implicit.files import as_path, read_state, write_state
 from implicit.models import Mlp, Siren
 from implicit.soap import Soap
 
@@ -144,20 +145,11 @@ def fit_field(
     start = perf_counter()
     dimension = _check_samples(points, distances, normals)
     box = _check_bounds(bounds, dimension)
-    if steps < 1 or batch < 4 or (seconds is not None and not seconds > 0):
-        raise ValueError(
-            f"steps must be at least 1, batch at least 4 and seconds positive, but are {steps}, {batch}, {seconds}."
-        )
-    if method not in ("soap", "adam") or activation not in ("sine", "softplus", "relu"):
-        raise ValueError(
-            'method must be "soap" or "adam" and activation "sine", "softplus" or "relu", but are '
-            f"{method!r} and {activation!r}."
-        )
+    options = {"width": width, "depth": depth, "activation": activation, "first_frequency": first_frequency}
+    options |= {"frequency": frequency, "steps": steps, "seconds": seconds, "batch": batch, "method": method}
+    options |= {"learning_rate": learning_rate, "band": band, "units": units, "seed": seed, "dtype": dtype}
+    require_training({**options, "checkpoint": checkpoint})
     path = None if checkpoint is None else Path(checkpoint)
-    if path is not None and not path.parent.is_dir():
-        raise FileNotFoundError(
-            f"There is no folder {path.parent} to write the checkpoint {path.name} to. Make it first."
-        )
     if learning_rate is None:
         learning_rate = _LEARNING_RATES[method, activation]
 
@@ -198,6 +190,32 @@ def fit_field(
         status=status,
     )
     return field, training
+
+
+def require_training(options: Mapping[str, Any]) -> None:
+    """Refuse options of fit_field, by their names, that cannot be meant, before any work."""
+    for name, least in {"width": 1, "depth": 1, "steps": 1, "batch": 4, "seed": 0}.items():
+        if name in options:
+            require_whole(name, options[name], least)
+    for name in ("seconds", "learning_rate", "band", "first_frequency", "frequency"):
+        if options.get(name) is not None:
+            require_positive(name, options[name])
+    require_choice("method", options.get("method", "soap"), ("soap", "adam"))
+    require_choice("activation", options.get("activation", "sine"), ("sine", "softplus", "relu"))
+    dtype, units = options.get("dtype", torch.float32), options.get("units")
+    if not (isinstance(dtype, torch.dtype) and dtype.is_floating_point):
+        raise TypeError(f"dtype must be a floating one such as torch.float32, but is {dtype!r}.")
+    if units is not None and not isinstance(units, Units):
+        raise TypeError(f"units must be None or Units(scale, offset), but are {units!r}.")
+    if options.get("checkpoint") is None:
+        return
+    path = as_path(options["checkpoint"])
+    if not path.absolute().parent.is_dir():
+        raise FileNotFoundError(
+            f"There is no folder {path.parent} to write the checkpoint {path.name} to. Make it first."
+        )
+    if path.is_dir():
+        raise ValueError(f"The checkpoint must be a file, but {path} is a folder. Name a file in it.")
 
 
 _LEARNING_RATES = {
@@ -349,11 +367,13 @@ def _check_samples(points: Tensor, distances: Tensor, normals: Tensor) -> int:
     for name, value in (("points", points), ("distances", distances), ("normals", normals)):
         if not isinstance(value, Tensor) or not value.is_floating_point():
             raise TypeError(f"{name} must be a floating torch tensor, but is {getattr(value, 'dtype', type(value))}.")
+        if value.is_meta or value.device != points.device:
+            raise ValueError(f"{name} must be on the CPU or a GPU, all on one, but are on {value.device}.")
     if points.ndim != 2 or points.shape[1] not in (2, 3) or len(points) == 0:
         raise ValueError(f"points must have shape (N, 2) or (N, 3), N > 0, but have {tuple(points.shape)}.")
     if distances.shape != points.shape[:1] or normals.shape != points.shape:
         raise ValueError(
-            f"There must be one distance and one normal for each of the {len(points)} points, of shapes "
+            f"distances and normals must be one for each of the {len(points)} points, of shapes "
             f"{tuple(points.shape[:1])} and {tuple(points.shape)}, but they have {tuple(distances.shape)} and "
             f"{tuple(normals.shape)}."
         )
@@ -371,7 +391,7 @@ def _check_samples(points: Tensor, distances: Tensor, normals: Tensor) -> int:
 
 
 def _check_bounds(bounds: Bounds | None, dimension: int) -> Float[Tensor, "2 d"]:
-    box = torch.tensor([list(corner) for corner in (_unit_box(dimension) if bounds is None else bounds)])
+    box = require_numbers("bounds", _unit_box(dimension) if bounds is None else bounds, "a lower and an upper corner")
     if box.shape != (2, dimension) or not bool((box[0] < box[1]).all()):
         raise ValueError(
             f"bounds must be a lower and an upper corner in {dimension} dimensions like the points, but are {bounds}."

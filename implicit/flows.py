@@ -20,6 +20,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from implicit.arguments import require_finite
 from implicit.deformation import Frame
 from implicit.energies import Energy, NormalTarget, Smoothness
 from implicit.field import Field
@@ -67,6 +68,10 @@ class MeanCurvature:
 
     level: float | Literal["mean"] = 0.0
 
+    def __post_init__(self) -> None:
+        if self.level != "mean":
+            require_finite("level", self.level, 'curvature or "mean"')
+
     def energies(
         self, field: Field, sample: SurfaceSample, kappa: Tensor, time: float, share: Tensor, implicit: bool
     ) -> Sequence[Energy]:
@@ -102,6 +107,9 @@ class Offset:
     """Motion along the normal at one speed, outward if positive: time times speed is the distance moved."""
 
     speed: float = 1.0
+
+    def __post_init__(self) -> None:
+        require_finite("speed", self.speed)
 
     def energies(
         self, field: Field, sample: SurfaceSample, kappa: Tensor, time: float, share: Tensor, implicit: bool

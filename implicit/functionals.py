@@ -19,16 +19,18 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field as default
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from implicit.arguments import require_callable, require_choice, require_finite, require_whole
+from implicit.extraction import require_resolution
 from implicit.field import Field
 from implicit.sensitivity import adjoint
-from implicit.surface import SurfaceSample, surface_quadrature
+from implicit.surface import SurfaceSample, require_sample, surface_quadrature
 
 Density = Callable[[Tensor], Tensor]
 Bound = Literal["equal", "at least", "at most"]
@@ -45,6 +47,11 @@ class Functional(ABC):
     target: float | None
     bound: Bound
 
+    def __post_init__(self) -> None:
+        if self.target is not None:
+            require_finite("target", self.target)
+        require_choice("bound", self.bound, get_args(Bound))
+
     @property
     def name(self) -> str:
         """What it is called in records."""
@@ -60,6 +67,7 @@ class Functional(ABC):
 
     def sensitivity(self, field: Field, sample: SurfaceSample) -> Float[Tensor, " p"]:
         """Its derivative by each parameter, (P,): the shape gradient carried to the parameters by B^T."""
+        require_sample(field, sample)
         return adjoint(field, sample.points, sample.weights * self.shape_gradient(field, sample))
 
 
@@ -109,7 +117,13 @@ class VolumeIntegral(Functional):
     bound: Bound = "equal"
     nodes: int = default(default=8)
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_callable("h", self.h, "a function from points (N, D) to values (N,)")
+        require_whole("nodes", self.nodes)
+
     def value(self, field: Field, sample: SurfaceSample) -> float:
+        require_sample(field, sample)
         # The field F(x) = (x - c) int_0^1 t^(D-1) h(c + t (x - c)) dt has div F = h, so int h = int F . n.
         center = field.bounds.mean(dim=0)
         arm = sample.points - center
@@ -138,6 +152,10 @@ class SurfaceIntegral(Functional):
     target: float | None = None
     bound: Bound = "equal"
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_callable("g", self.g, "a function from points (N, D) to values (N,)")
+
     def value(self, field: Field, sample: SurfaceSample) -> float:
         way = _Way.of(field, sample)
         density = _density(self.g, sample.points + way.length[:, None] * way.normals, "g")
@@ -159,6 +177,12 @@ class Integral:
     error: float
 
 
+def require_functional(name: str, value: object) -> None:
+    """Refuse what is no functional."""
+    if not isinstance(value, Functional):
+        raise TypeError(f"{name} must be a functional such as Volume() or Area(), but is {value!r}.")
+
+
 def integrate(field: Field, functional: Functional, resolution: int = 64) -> Integral:
     """The functional of the field's surface at a resolution, with an error estimate.
 
@@ -168,6 +192,8 @@ def integrate(field: Field, functional: Functional, resolution: int = 64) -> Int
     Raises:
         SurfaceError: As for surface_quadrature.
     """
+    require_functional("functional", functional)
+    require_resolution("resolution", resolution)
     fine, coarse = (
         functional.value(field, surface_quadrature(field, cells)) for cells in (resolution, max(4, resolution // 2))
     )
@@ -184,6 +210,7 @@ class _Way:
 
     @classmethod
     def of(cls, field: Field, sample: SurfaceSample) -> _Way:
+        require_sample(field, sample)
         value, gradient = field.value_and_gradient(sample.points)
         slope = field.gradient_length(gradient)
         normals = gradient / slope[:, None]
@@ -205,6 +232,9 @@ def volume_terms(sample: SurfaceSample) -> Float[Tensor, " n"]:
 
 def _density(function: Density, points: Tensor, name: str) -> Tensor:
     values = function(points)
-    if values.shape != points.shape[:1]:
-        raise ValueError(f"{name} must give one value a point, shape ({len(points)},), but gave {tuple(values.shape)}.")
+    if not isinstance(values, Tensor) or values.shape != points.shape[:1]:
+        came = tuple(values.shape) if isinstance(values, Tensor) else type(values).__name__
+        raise ValueError(f"{name} must give one value a point, shape ({len(points)},), but gave {came}.")
+    if not bool(torch.isfinite(values).all()):
+        raise ValueError(f"{name} must be finite on the surface and inside, but is not at all points. Mend it there.")
     return values

@@ -13,15 +13,17 @@ from dataclasses import replace
 from jaxtyping import Float
 from torch import Tensor
 
+from implicit.arguments import require_positive, require_whole
 from implicit.displacement import MOST_PARTS, OFF_SURFACE_STRENGTH, Displacement, Splitting
-from implicit.edit import Edit, EditStatus, Progress
+from implicit.edit import Edit, EditStatus, Progress, require_options
 from implicit.evolve import evolve
 from implicit.extraction import SurfaceError
 from implicit.field import Field
 from implicit.functionals import Functional
 from implicit.goal import Goal, Rest, checked_handles
+from implicit.guard import checked_constraints
 from implicit.regions import Handle
-from implicit.sampling import sample_surface
+from implicit.sampling import carrying_points
 from implicit.soundness import Soundness, changes, field_soundness
 from implicit.surface import SurfaceSample
 
@@ -68,10 +70,13 @@ def geometric_edit(
     Raises:
         ValueError: No point of the surface lies in any region, or a displacement is not finite.
     """
+    require_options(field, damping=damping, resolution=resolution, track=track, progress=progress, seed=seed)
     listed = checked_handles(handles)
-    if parts is not None and parts < 1:
-        raise ValueError(f"parts must be at least 1, but is {parts}.")
-    sample = points if isinstance(points, SurfaceSample) else sample_surface(field, points, seed=seed)
+    constraints = checked_constraints(constraints)
+    if parts is not None:
+        require_whole("parts", parts)
+    require_positive("off_surface_strength", off_surface_strength, or_zero=True)
+    sample = carrying_points(field, points, seed=seed)
 
     def goal_of(points: Tensor, normals: Tensor) -> Goal:
         return Goal(listed, points, normals, rest, least_alignment=least_alignment)
@@ -79,9 +84,8 @@ def geometric_edit(
     goal = goal_of(sample.points, sample.normals)
     goal.require_points_in_each_region()
     before = field_soundness(field, resolution)
-    extra = None if track is None else field.require_points(track)
     splitting = Splitting(parts, goal.largest() / field.size)
-    operation = Displacement(field, goal_of, sample, splitting, damping, off_surface_strength, extra, seed)
+    operation = Displacement(field, goal_of, sample, splitting, damping, off_surface_strength, track, seed)
     edit = evolve(
         field,
         operation,

@@ -7,6 +7,7 @@ The weight is that of the handle's region at the point of the unedited surface.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Literal
 
@@ -14,6 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from implicit.arguments import require_between
 from implicit.regions import Handle
 
 Rest = Literal["fixed", "free"] | float
@@ -48,10 +50,9 @@ class Goal:
         inside = [weights > 0 for weights in self._weights]
         self.prescribed = torch.stack(inside).any(dim=0)
         weight = {"fixed": 1.0, "free": 0.0}.get(rest, rest) if isinstance(rest, str) else rest
-        if isinstance(weight, str) or not weight >= 0:
+        if not (isinstance(weight, int | float) and 0 <= weight < math.inf):
             raise ValueError(f'rest must be "fixed", "free" or a weight of at least 0, but is {rest!r}.')
-        if not 0 <= least_alignment < 1:
-            raise ValueError(f"least_alignment is a cosine, at least 0 and below 1, but is {least_alignment}.")
+        require_between("least_alignment", least_alignment, 0, 1)
         self.importance = torch.where(self.prescribed, 1.0, float(weight)).to(points)
         if least_alignment > 0:
             way = self.at(1.0) - points
@@ -94,7 +95,9 @@ class Goal:
 
 def checked_handles(handles: Sequence[Handle] | Handle) -> list[Handle]:
     """One handle or several, as a list that is not empty."""
-    listed = [handles] if isinstance(handles, Handle) else list(handles)
+    listed = [handles] if isinstance(handles, Handle) else handles
+    if not isinstance(listed, list | tuple) or not all(isinstance(handle, Handle) for handle in listed):
+        raise TypeError(f"handles must be Handle(region, displacement) or a list of them, but are {handles!r}.")
     if not listed:
         raise ValueError("handles is empty. Give at least one Handle(region, displacement).")
-    return listed
+    return list(listed)

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from implicit.arguments import require_choice, require_positive
 from implicit.deformation import DeformationSpace
+from implicit.extraction import require_resolution
 from implicit.field import Field
-from implicit.functionals import Functional
+from implicit.functionals import Functional, require_functional
 from implicit.sampling import thinned
 from implicit.sensitivity import adjoint
 from implicit.solve import LeastSquares, Rows
@@ -54,10 +56,21 @@ class Holding:
     penalty: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.enforce not in ("rows", "projection", "penalty"):
-            raise ValueError(f'enforce must be "rows", "projection" or "penalty", but is {self.enforce!r}.')
-        if not ((self.tolerance is None or self.tolerance > 0) and self.penalty > 0):
-            raise ValueError(f"tolerance and penalty must be positive, but are {self.tolerance} and {self.penalty}.")
+        require_choice("enforce", self.enforce, get_args(Enforce))
+        if self.tolerance is not None:
+            require_positive("tolerance", self.tolerance)
+        require_positive("penalty", self.penalty)
+        require_resolution("resolution", self.resolution)
+        require_resolution("fine_resolution", self.fine_resolution)
+
+
+def checked_constraints(constraints: Sequence[Functional]) -> tuple[Functional, ...]:
+    """Functionals to hold, or a clear refusal of what are none."""
+    if not isinstance(constraints, list | tuple):
+        raise TypeError(f"constraints must be a list such as [Volume()], but are {constraints!r}.")
+    for k, constraint in enumerate(constraints):
+        require_functional(f"constraints[{k}]", constraint)
+    return tuple(constraints)
 
 
 class Guard:
@@ -71,7 +84,7 @@ class Guard:
     """
 
     def __init__(self, field: Field, constraints: Sequence[Functional], holding: Holding, *, always: bool) -> None:
-        self.constraints, self.holding = tuple(constraints), holding
+        self.constraints, self.holding = checked_constraints(constraints), holding
         for constraint in self.constraints:
             if constraint.bound not in ("equal", "at least", "at most"):
                 raise ValueError(

@@ -13,10 +13,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from implicit.arguments import require_tensor, require_whole
 from implicit.extraction import newton_to_surface
 from implicit.field import Field
 from implicit.sensitivity import basis
-from implicit.surface import SurfaceSample
+from implicit.surface import SurfaceSample, require_sample
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +43,8 @@ def surface_modes(field: Field, sample: SurfaceSample, count: int = 8) -> Surfac
         sample: Points and weights on the surface.
         count: K, at most the number of parameters.
     """
-    if not 1 <= count <= len(field.theta):
-        raise ValueError(f"count must be between 1 and the {len(field.theta)} parameters, but is {count}.")
+    require_sample(field, sample)
+    require_whole("count", count, 1, "", len(field.theta))
     B = basis(field, sample.points).double()
     root = sample.weights.double().sqrt()
     _, strengths, directions = torch.linalg.svd(root[:, None] * B, full_matrices=False)
@@ -73,6 +74,10 @@ def mirror_symmetry(
         ValueError: The surface itself is not symmetric: less than nine tenths of the mirrored points lie on it, to a
             hundredth of the field's size.
     """
+    require_sample(field, sample)
+    require_whole("axis", axis, 0, "", field.dimension - 1)
+    columns = directions.shape[1:] if isinstance(directions, Tensor) else (1,)
+    require_tensor("directions", directions, (len(field.theta), *columns[:1]), field.device)
     mirror = torch.ones(field.dimension, dtype=field.dtype, device=field.device)
     mirror[axis] = -1
     images, arrived = newton_to_surface(field, sample.points * mirror, reach=0.01 * field.size)

@@ -15,6 +15,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from implicit.arguments import require_callable, require_finite, require_numbers, require_positive
+
 RegionLike = Callable[[Tensor], Tensor]
 Vector = Sequence[float] | Tensor
 
@@ -27,9 +29,11 @@ class Region(ABC):
         """Weight of each point."""
 
     def __and__(self, other: RegionLike) -> Region:
+        require_callable("The other region", other, "a region, or a function from points (N, D) to weights (N,)")
         return _Combined(lambda points: torch.minimum(self(points), other(points)))
 
     def __or__(self, other: RegionLike) -> Region:
+        require_callable("The other region", other, "a region, or a function from points (N, D) to weights (N,)")
         return _Combined(lambda points: torch.maximum(self(points), other(points)))
 
     def __invert__(self) -> Region:
@@ -53,7 +57,9 @@ class Ball(Region):
     falloff: float = 0.0
 
     def __post_init__(self) -> None:
+        _require_place("center of a Ball", self.center)
         _require_positive("Ball", "radius", self.radius)
+        require_positive("falloff of a Ball", self.falloff, "length", or_zero=True)
 
     def __call__(self, points: Tensor) -> Tensor:
         return _sink((points - _like(self.center, points)).norm(dim=1) - self.radius, self.falloff)
@@ -68,7 +74,9 @@ class Box(Region):
     falloff: float = 0.0
 
     def __post_init__(self) -> None:
-        if not all(float(a) < float(b) for a, b in zip(self.lower, self.upper, strict=True)):
+        lower, upper = _require_place("lower of a Box", self.lower), _require_place("upper of a Box", self.upper)
+        require_positive("falloff of a Box", self.falloff, "length", or_zero=True)
+        if lower.shape != upper.shape or not bool((lower < upper).all()):
             raise ValueError(f"Box needs lower < upper in each coordinate, but got {self.lower} and {self.upper}.")
 
     def __call__(self, points: Tensor) -> Tensor:
@@ -85,7 +93,10 @@ class HalfSpace(Region):
     falloff: float = 0.0
 
     def __post_init__(self) -> None:
-        _require_positive("HalfSpace", "length of normal", float(torch.as_tensor(self.normal).double().norm()))
+        _require_place("point of a HalfSpace", self.point)
+        normal = _require_place("normal of a HalfSpace", self.normal)
+        _require_positive("HalfSpace", "length of normal", float(normal.norm()))
+        require_positive("falloff of a HalfSpace", self.falloff, "length", or_zero=True)
 
     def __call__(self, points: Tensor) -> Tensor:
         normal = _like(self.normal, points)
@@ -102,7 +113,9 @@ class NearPoints(Region):
 
     def __post_init__(self) -> None:
         _require_positive("NearPoints", "radius", self.radius)
-        if torch.as_tensor(self.centers).ndim != 2 or len(self.centers) == 0:
+        require_positive("falloff of NearPoints", self.falloff, "length", or_zero=True)
+        centers = require_numbers("centers of NearPoints", self.centers, "points (M, D)")
+        if centers.ndim != 2 or len(centers) == 0:
             raise ValueError("NearPoints needs centers of shape (M, D) with M >= 1; pick at least one point.")
 
     def __call__(self, points: Tensor) -> Tensor:
@@ -116,6 +129,10 @@ class Along:
     """Motion along the outward normal by a distance, one for all points or a function of them."""
 
     distance: float | Callable[[Tensor], Tensor]
+
+    def __post_init__(self) -> None:
+        if not callable(self.distance):
+            require_finite("distance of Along", self.distance, "length")
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,12 +150,19 @@ class RigidMotion:
     translation: Vector | None = None
     center: Vector | None = None
 
+    def __post_init__(self) -> None:
+        for name, value in (("translation", self.translation), ("center", self.center)):
+            if value is not None:
+                _require_place(f"{name} of a RigidMotion", value)
+        if self.rotation is not None:
+            require_numbers("rotation of a RigidMotion", self.rotation, "a vector of 3, a matrix or an angle")
+
     def at(self, fraction: float, points: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
         """Where the points are after a fraction of the motion: the angle and the translation grow evenly."""
         dimension = points.shape[1]
         zero = points.new_zeros(dimension)
-        center = zero if self.center is None else _like(self.center, points)
-        shift = zero if self.translation is None else _like(self.translation, points)
+        center = zero if self.center is None else _like(self.center, points, "center of a RigidMotion")
+        shift = zero if self.translation is None else _like(self.translation, points, "translation of a RigidMotion")
         generator = _rotation_generator(self.rotation, dimension).to(points) * fraction
         return (points - center) @ torch.matrix_exp(generator).T + center + fraction * shift
 
@@ -159,13 +183,22 @@ class Handle:
     region: RegionLike
     displacement: Displacement
 
+    def __post_init__(self) -> None:
+        require_callable(
+            "region of a Handle", self.region, "a region, or a function from points (N, D) to weights (N,)"
+        )
+        if not (callable(self.displacement) or isinstance(self.displacement, Along | RigidMotion)):
+            _require_place("displacement of a Handle", self.displacement)
+
     def weights(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
         """The region's weights, checked."""
-        weights = torch.as_tensor(self.region(points)).to(points)
-        if weights.shape != points.shape[:1]:
+        weights = self.region(points)
+        if not isinstance(weights, Tensor) or weights.shape != points.shape[:1]:
+            came = tuple(weights.shape) if isinstance(weights, Tensor) else type(weights).__name__
             raise ValueError(
-                f"A region must give one weight a point, shape ({len(points)},), but gave {tuple(weights.shape)}."
+                f"A region must give a tensor of one weight a point, shape ({len(points)},), but gave {came}."
             )
+        weights = weights.to(points)
         if not bool(((weights >= 0) & (weights <= 1)).all()):
             raise ValueError("A region's weights must lie in [0, 1]; clamp them.")
         return weights
@@ -185,10 +218,21 @@ class Handle:
         if isinstance(motion, RigidMotion):
             moved = motion.at(fraction, points)
         elif isinstance(motion, Along):
-            distance = motion.distance(points) if callable(motion.distance) else motion.distance
-            moved = points + fraction * _exact(distance, points).reshape(-1, 1) * normals
+            distance = _exact(motion.distance(points) if callable(motion.distance) else motion.distance, points)
+            if distance.numel() not in (1, len(points)):
+                raise ValueError(
+                    f"The displacement Along must be one distance, or a function that gives one a point, "
+                    f"({len(points)},), but gave {tuple(distance.shape)}."
+                )
+            moved = points + fraction * distance.reshape(-1, 1) * normals
         else:
-            vectors = _exact(motion(points) if callable(motion) else motion, points)
+            vectors = motion(points) if callable(motion) else motion
+            if callable(motion) and not isinstance(vectors, Tensor):
+                raise ValueError(
+                    f"The displacement must be a tensor of vectors (N, D), but the function gave a "
+                    f"{type(vectors).__name__}."
+                )
+            vectors = _exact(vectors, points)
             if vectors.shape not in (points.shape, points.shape[1:]):
                 raise ValueError(
                     f"A displacement must be a vector of {points.shape[1]} numbers or one a point, but has shape "
@@ -232,11 +276,21 @@ def _sink(distance: Tensor, falloff: float) -> Tensor:
     return (1 - t**3 * (10 - 15 * t + 6 * t**2)).clamp(0, 1)  # rounding leaves the range near both ends
 
 
-def _like(vector: Vector | Tensor, points: Tensor) -> Tensor:
+def _like(vector: Vector | Tensor, points: Tensor, name: str = "The region") -> Tensor:
     value = _exact(vector, points)
     if value.shape[-1] != points.shape[1]:
-        raise ValueError(f"The region is in {value.shape[-1]} dimensions, but the points are in {points.shape[1]}.")
+        raise ValueError(
+            f"{name} must be in the dimensions of the points, {points.shape[1]}, but is in "
+            f"{value.shape[-1]} dimensions."
+        )
     return value
+
+
+def _require_place(name: str, value: Vector) -> Tensor:
+    place = require_numbers(name, value, "a point or vector (D,)")
+    if place.ndim != 1:
+        raise ValueError(f"{name} must be a point or vector (D,), but has the shape {tuple(place.shape)}.")
+    return place
 
 
 def _exact(value: Vector | float, like: Tensor) -> Tensor:
@@ -245,5 +299,5 @@ def _exact(value: Vector | float, like: Tensor) -> Tensor:
 
 
 def _require_positive(what: str, name: str, value: float) -> None:
-    if not value > 0:
-        raise ValueError(f"{what} needs a positive {name}, but got {value}.")
+    if isinstance(value, str) or not value > 0:
+        raise ValueError(f"{what} needs a positive {name}, but got {value!r}.")

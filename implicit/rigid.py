@@ -19,17 +19,20 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from implicit.arguments import require_positive, require_whole
 from implicit.deformation import DeformationSpace
-from implicit.edit import Edit, Progress, Row
+from implicit.edit import Edit, Progress, Row, require_options
 from implicit.energies import Energy, Killing, VectorTarget
 from implicit.evolve import evolve
-from implicit.field import Field
+from implicit.field import Field, require_field
 from implicit.functionals import Area, Functional, Volume
+from implicit.goal import checked_handles
+from implicit.guard import checked_constraints
 from implicit.offsurface import off_surface
 from implicit.plain import is_plain
 from implicit.regions import Handle
 from implicit.rigid_motion import Placement
-from implicit.sampling import sample_surface
+from implicit.sampling import carrying_points
 from implicit.step import State, StepProblem
 from implicit.surface import SurfaceSample
 from implicit.tangential import CosineFeatures, TangentialModel
@@ -91,6 +94,10 @@ def rigid_edit(
         ValueError: The field is not 3D, a region misses the surface, or the handles leave a rigid motion free
             (fewer than three points that are not on one line).
     """
+    require_options(field, damping=damping, resolution=resolution, progress=progress, seed=seed)
+    constraints = checked_constraints(constraints)
+    if track is not None:
+        field.to(torch.float64).require_points(field.to(torch.float64).in_precision(track), "track")
     precise, sample, operation = prepare(
         field,
         handles,
@@ -103,7 +110,7 @@ def rigid_edit(
         off_surface_strength=off_surface_strength,
         seed=seed,
     )
-    tracked = None if track is None else precise.require_points(track.to(precise.theta))
+    tracked = None if track is None else track.to(precise.theta)
     whole = operation.placement(1.0)
     if _can_be_placed(precise, whole, sample, constraints):
         start = whole.field(precise)
@@ -154,17 +161,21 @@ def prepare(
     seed: int,
 ) -> tuple[Field, SurfaceSample, RigidOperation]:
     """The field in float64, the points that carry the energies, and what each step minimises; see rigid_edit."""
-    if field.dimension != 3:
+    handles = checked_handles(handles)
+    if require_field(field).dimension != 3:
         raise ValueError(f"rigid_edit needs a field in 3 dimensions, but this one has {field.dimension}.")
-    if steps < 1:
-        raise ValueError(f"steps must be at least 1, but is {steps}.")
+    require_whole("steps", steps)
+    require_positive("alpha", alpha)
+    for name, share in zip(("bending", "thickness"), shares, strict=True):
+        require_positive(name, share, or_zero=True)
+    require_positive("off_surface_strength", off_surface_strength, or_zero=True)
+    if tangential is not None and not callable(getattr(tangential, "slopes", None)):
+        raise TypeError(f"tangential must be None or a model such as CosineFeatures(field), but is {tangential!r}.")
     precise = field.to(torch.float64)
-    if isinstance(points, SurfaceSample):
-        sample = points.to(torch.float64)
-    else:
-        sample = sample_surface(precise, points, "farthest", seed=seed)
+    points = points.to(torch.float64) if isinstance(points, SurfaceSample) else points
+    sample = carrying_points(precise, points, "farthest", seed=seed)
     model = CosineFeatures(precise, seed=seed) if tangential is None else tangential
-    operation = RigidOperation(list(handles), sample, steps, alpha, shares, model, damping, off_surface_strength, seed)
+    operation = RigidOperation(handles, sample, steps, alpha, shares, model, damping, off_surface_strength, seed)
     return precise, sample, operation
 
 

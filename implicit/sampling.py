@@ -15,9 +15,10 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from implicit.extraction import newton_to_surface, project_to_surface
-from implicit.field import Field, SurfaceError
-from implicit.surface import SurfaceSample, cell_points, curved_cells, placed
+from implicit.arguments import require_callable, require_choice, require_tensor, require_whole
+from implicit.extraction import newton_to_surface, project_to_surface, require_resolution
+from implicit.field import Field, SurfaceError, require_field
+from implicit.surface import SurfaceSample, cell_points, curved_cells, placed, require_sample
 
 SampleMethod = Literal["stratified", "uniform", "farthest", "rejection"]
 METHODS = ("stratified", "uniform", "farthest", "rejection")
@@ -61,10 +62,15 @@ def sample_surface(
         SurfaceError: There is no surface in the bounds, or it leaves them.
         ValueError: The method is unknown or takes no density, n is below 1, or the density is not positive.
     """
-    if n < 1:
-        raise ValueError(f"n must be at least 1 point, but is {n}.")
-    if method not in METHODS:
-        raise ValueError(f"method must be one of {', '.join(METHODS)}, but is {method!r}.")
+    require_field(field)
+    require_whole("n", n, 1, "point")
+    require_choice("method", method, METHODS)
+    require_resolution("resolution", resolution)
+    require_whole("seed", seed, 0)
+    if generator is not None and not isinstance(generator, torch.Generator):
+        raise TypeError(f"generator must be a torch.Generator, but is a {type(generator).__name__}.")
+    if density is not None:
+        require_callable("density", density, "a function from points (N, D) to numbers (N,)")
     if density is not None and method not in ("stratified", "uniform"):
         raise ValueError(f'A density needs method "stratified" or "uniform", not {method!r}.')
     generator = torch.Generator().manual_seed(seed) if generator is None else generator
@@ -98,6 +104,17 @@ def sample_surface(
     return placed(field, points, total / n / dense[chosen], 2 * field.size / resolution)
 
 
+def carrying_points(
+    field: Field, points: int | SurfaceSample, method: SampleMethod = "stratified", *, seed: int = 0
+) -> SurfaceSample:
+    """The points that carry an edit: the sample itself, or so many drawn from the surface."""
+    if isinstance(points, SurfaceSample):
+        field.require_points(points.points, "points")
+        return points
+    require_whole("points", points)
+    return sample_surface(field, points, method, seed=seed)
+
+
 def transport(field: Field, sample: SurfaceSample, displacement: Float[Tensor, "n d"]) -> SurfaceSample:
     """A sample moved along a displacement and put back on a surface, of the edited field say.
 
@@ -114,11 +131,8 @@ def transport(field: Field, sample: SurfaceSample, displacement: Float[Tensor, "
     Raises:
         SurfaceError: A point does not reach the surface.
     """
-    if displacement.shape != sample.points.shape:
-        raise ValueError(
-            f"displacement must have the shape {tuple(sample.points.shape)} of the points, but has "
-            f"{tuple(displacement.shape)}."
-        )
+    require_sample(field, sample)
+    require_tensor("displacement", displacement, sample.points.shape, field.device)
     reach = float(displacement.norm(dim=1).amax()) + 0.01 * field.size
     points = project_to_surface(field, sample.points + displacement, reach=reach)
     return replace(sample, points=points, normals=field.normal(points))
@@ -135,9 +149,11 @@ def _farthest(sample: SurfaceSample, n: int) -> SurfaceSample:
 
 def _cell_densities(density: Callable[[Tensor], Tensor], nodes: Tensor) -> Tensor:
     """The density at the middle of each cell."""
-    dense = density(nodes.mean(dim=1)).to(nodes)
-    if dense.shape != nodes.shape[:1]:
-        raise ValueError(f"density must give {len(nodes)} numbers, one a point, but gives {tuple(dense.shape)}.")
+    dense = density(nodes.mean(dim=1))
+    if not isinstance(dense, Tensor) or dense.shape != nodes.shape[:1]:
+        came = tuple(dense.shape) if isinstance(dense, Tensor) else type(dense).__name__
+        raise ValueError(f"density must give {len(nodes)} numbers, one a point, but gives {came}.")
+    dense = dense.to(nodes)
     if not bool((torch.isfinite(dense) & (dense > 0)).all()):
         raise ValueError(
             f"density must be positive and finite, but is {float(dense.min()):.3g} to {float(dense.max()):.3g}. "
@@ -210,7 +226,8 @@ def _by_rejection(field: Field, n: int, resolution: int, generator: torch.Genera
         drawn += len(points)
     if count < n:
         raise SurfaceError(
-            f"Only {count} of {n} points were found on the surface in {drawn} draws. Is there a surface in the bounds?"
+            f"Only {count} of {n} points were found on the surface in {drawn} draws. Check that there is one in the "
+            "bounds, or take another method."
         )
     candidates = torch.cat(kept)[: 4 * n]
     points = candidates[farthest_order(candidates, n)]

@@ -18,12 +18,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from implicit.arguments import require_between, require_positive, require_tensor, require_whole
 from implicit.deformation import DeformationSpace
-from implicit.edit import Edit, Progress, Row
+from implicit.edit import Edit, Progress, Row, require_options
 from implicit.energies import Energy, NormalTarget
 from implicit.evolve import evolve
 from implicit.extraction import newton_to_surface, require_on_surface
 from implicit.field import Field
+from implicit.goal import checked_handles
 from implicit.regions import Handle
 from implicit.sampling import farthest_order, sample_surface
 from implicit.sensitivity import BLOCK, value_and_gradients
@@ -49,11 +51,11 @@ class CodePrior:
     @classmethod
     def of(cls, codes: Float[Tensor, "s l"], weight: float = 1e-4) -> CodePrior:
         """The prior of some codes, a row each; directions in which they do not vary get 1e-3 of the largest spread."""
-        if codes.ndim != 2 or len(codes) < 2 or not weight >= 0:
-            raise ValueError(
-                "A prior needs at least two codes, a row each, and a weight of at least 0, but got codes of shape "
-                f"{tuple(codes.shape)} and {weight}."
-            )
+        require_positive("weight", weight, or_zero=True)
+        if not isinstance(codes, Tensor) or codes.ndim != 2 or len(codes) < 2:
+            came = f"shape {tuple(codes.shape)}" if isinstance(codes, Tensor) else f"a {type(codes).__name__}"
+            raise ValueError(f"codes must be a tensor of at least two codes, a row each, but are {came}.")
+        require_tensor("codes", codes, codes.shape, codes.device)
         mean = codes.mean(dim=0)
         away = (codes - mean).double()
         covariance = away.T @ away / (len(codes) - 1)
@@ -143,8 +145,11 @@ def semantic_edit(
             option is out of range.
         SurfaceError: A point is farther than a fiftieth of the field's size from the surface.
     """
+    require_options(field, damping=damping, track=track, progress=progress)
+    _check_options(steps, stride, trust_region, least_cosine, tolerance)
+    if prior is not None and not isinstance(prior, CodePrior):
+        raise TypeError(f"prior must be None or a CodePrior, such as CodePrior.of(codes), but is {prior!r}.")
     start = _starting_points(field, points, displacements)
-    _check_options(steps, stride, damping, trust_region, least_cosine, tolerance)
     operation = _Semantic(field, start, displacements, stride, damping, prior, trust_region, least_cosine, tolerance)
     wanted = torch.where(operation.used[:, None], displacements, torch.full_like(displacements, float("nan")))
     return evolve(field, operation, start, steps=steps, track=track, wanted=wanted, progress=progress)
@@ -165,7 +170,8 @@ def prescribe(
     Raises:
         ValueError: No point of the surface lies in a region.
     """
-    handles = [handles] if isinstance(handles, Handle) else list(handles)
+    handles = checked_handles(handles)
+    require_whole("points", points)
     sample = sample_surface(field, 40 * points, resolution=resolution, seed=seed)
     chosen, ways = [], []
     for k, handle in enumerate(handles):
@@ -187,33 +193,26 @@ def prescribe(
 
 def _starting_points(field: Field, points: Tensor, displacements: Tensor) -> SurfaceSample:
     points = field.require_points(points)
-    if not isinstance(displacements, Tensor) or displacements.shape != points.shape or len(points) == 0:
-        came = tuple(displacements.shape) if isinstance(displacements, Tensor) else type(displacements).__name__
-        raise ValueError(f"There must be a displacement for each of the {len(points)} points, but they are {came}.")
-    if not bool(torch.isfinite(displacements).all()):
-        i = int((~torch.isfinite(displacements)).any(dim=1).nonzero()[0])
-        raise ValueError(f"displacements[{i}] is not finite: {displacements[i].tolist()}. Leave that point out.")
+    if len(points) == 0:
+        raise ValueError("points must hold at least one point, but are none. Draw some with prescribe.")
+    if len(field.require_points(displacements, "displacements")) != len(points):
+        raise ValueError(
+            f"There must be a displacement for each of the {len(points)} points, but there are {len(displacements)}."
+        )
     placed = require_on_surface(field, points, "points")
     return SurfaceSample(placed, field.normal(placed), torch.ones_like(placed[:, 0]))
 
 
 def _check_options(
-    steps: int,
-    stride: float | None,
-    damping: float | None,
-    trust_region: float | None,
-    least_cosine: float,
-    tolerance: float,
+    steps: int, stride: float | None, trust_region: float | None, least_cosine: float, tolerance: float
 ) -> None:
-    if steps < 1:
-        raise ValueError(f"steps must be at least 1, but is {steps}.")
-    if damping is not None and not damping >= 0:
-        raise ValueError(f"damping must be None or at least 0, but is {damping}.")
+    require_whole("steps", steps)
     for name, value in (("stride", stride), ("trust_region", trust_region)):
-        if value is not None and not value > 0:
-            raise ValueError(f"{name} must be None or positive, but is {value}.")
-    if not 0 <= least_cosine < 1 or not 0 < tolerance < 1:
-        raise ValueError(f"least_cosine and tolerance must be between 0 and 1, but are {least_cosine} and {tolerance}.")
+        if value is not None:
+            require_positive(name, value, "length")
+    require_between("least_cosine", least_cosine, 0, 1)
+    require_positive("tolerance", tolerance)
+    require_between("tolerance", tolerance, 0, 1)
 
 
 class _Semantic:

@@ -18,7 +18,8 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.func import grad, grad_and_value, jvp, vmap
 
-from implicit.field import CHUNK, Field
+from implicit.arguments import require_tensor
+from implicit.field import CHUNK, Field, require_field
 from implicit.plain import is_plain, plain_gradient, plain_gradient_and_slope
 
 # Numbers in the largest block of B made at once, 256 MB in float64: enough rows for the symmetric product, whose
@@ -41,7 +42,7 @@ def basis(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n p"]:
     Raises:
         ValueError: The gradient vanishes at a point.
     """
-    points = field.require_points(points)
+    points = require_field(field).require_points(points)
     blocks = [basis_block(field, part) for part in row_blocks(points, len(field.theta))]
     return blocks[0] if len(blocks) == 1 else torch.cat(blocks)
 
@@ -91,11 +92,11 @@ def normal_displacement(
     Raises:
         ValueError: The gradient vanishes at a point, or d_theta has another size than theta.
     """
-    points = field.require_points(points)
-    if d_theta.shape != field.theta.shape:
-        raise ValueError(f"d_theta must have shape {tuple(field.theta.shape)}, but has {tuple(d_theta.shape)}.")
+    points = require_field(field).require_points(points)
+    require_tensor("d_theta", d_theta, field.theta.shape, field.device)
     if lengths is None:
         lengths = field.gradient_length(field.gradient(points))
+    require_tensor("lengths", lengths, points.shape[:1], field.device)
     change = [_directional(field, part, d_theta.to(field.theta)) for part in points.split(CHUNK)]
     return -torch.cat(change) / lengths if change else points.new_zeros(0)
 
@@ -125,9 +126,11 @@ def adjoint(
     Args:
         lengths: |df/dx| at the points, where the caller has it already.
     """
-    points = field.require_points(points)
+    points = require_field(field).require_points(points)
+    require_tensor("weights", weights, points.shape[:1], field.device)
     if lengths is None:
         lengths = field.gradient_length(field.gradient(points))
+    require_tensor("lengths", lengths, points.shape[:1], field.device)
     scaled = -weights / lengths
     total = torch.zeros_like(field.theta)
     theta = field.theta.detach().requires_grad_()

@@ -24,7 +24,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from implicit.field import Bounds, Field, load_field
+from implicit.arguments import require_numbers
+from implicit.field import Bounds, Field, load_field, require_field
 from implicit.models import build, register
 
 __all__ = [
@@ -62,7 +63,7 @@ def bundled(name: str) -> Field:
     How well each fits stands in data/<name>.json; `python -m compare.bundle` makes them again.
     """
     if name not in BUNDLED:
-        raise ValueError(f"There is no bundled field {name!r}; there are {', '.join(BUNDLED)}.")
+        raise ValueError(f"There is no bundled field {name!r}; there are {', '.join(BUNDLED)}. Choose one of them.")
     with resources.as_file(resources.files("implicit") / "data" / f"{name}.safetensors") as path:
         return load_field(path)
 
@@ -92,6 +93,8 @@ def sphere(
             with a quarter of its length to spare on each side.
     """
     center = (0.0,) * dimension if center is None else center
+    if require_numbers("center", center, f"{dimension} numbers").shape != (dimension,):
+        raise ValueError(f"center must be {dimension} numbers like the dimension, but is {center!r}.")
     return _field(_Sphere(radius, center, scale, dtype=dtype), parameters, bounds)
 
 
@@ -287,11 +290,13 @@ def exact_volume(field: Field) -> float:
 
 
 def _measured(field: Field, what: str) -> float:
-    module = None if field.module is None else _at_theta(field)
+    module = None if require_field(field).module is None else _at_theta(field)
     formula = getattr(module, f"exact_{what}", None)
     if formula is None:
         kind = type(module).__name__.removeprefix("_")
-        raise TypeError(f"No formula is known for the {what} of a {kind}. Integrate it with surface_quadrature.")
+        raise TypeError(
+            f"No formula is known for the {what} of a field of a {kind}. Take implicit.integrate for its surface."
+        )
     return float(formula())
 
 
@@ -305,6 +310,7 @@ class _Shape(nn.Module):
 
     def _own(self, dtype: torch.dtype, **values: float | Sequence[float]) -> None:
         for name, value in values.items():
+            require_numbers(name, value, "a number, or one for each coordinate")
             self.register_parameter(name, nn.Parameter(torch.as_tensor(value, dtype=dtype)))
 
     def options(self) -> dict[str, Any]:
@@ -323,8 +329,7 @@ class _Shape(nn.Module):
 
 def _require_positive(shape: str, **lengths: float | Sequence[float]) -> None:
     for name, length in lengths.items():
-        values = [length] if isinstance(length, (int, float)) else list(length)
-        if not all(math.isfinite(value) and value > 0 for value in values):
+        if not bool((require_numbers(name, length, "a positive length, or several") > 0).all()):
             raise ValueError(f"{name} of a {shape} must be positive and finite, but is {length}.")
 
 
@@ -637,7 +642,7 @@ def _bounds(module: _Shape) -> Bounds:
 def _combine(kind: type[_Combination], fields: Sequence[Field], blend: float, bounds: Bounds | None) -> Field:
     parts = []
     for i, field in enumerate(fields):
-        if field.module is None or not isinstance(module := _at_theta(field), _Shape):
+        if require_field(field).module is None or not isinstance(module := _at_theta(field), _Shape):
             raise TypeError(f"{kind.name} takes shapes of this file, but body {i} is none. Join its values yourself.")
         if field.dimension != fields[0].dimension or field.dtype != fields[0].dtype:
             raise ValueError(

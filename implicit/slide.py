@@ -21,9 +21,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from implicit.arguments import require_positive, require_tensor
 from implicit.deformation import DeformationSpace, Frame, speed_and_slope
 from implicit.energies import Killing
-from implicit.field import Field
+from implicit.field import Field, require_field
 from implicit.sampling import sample_surface
 from implicit.sensitivity import row_blocks
 from implicit.solve import LeastSquares, Rows
@@ -63,14 +64,13 @@ class ConstantNormals:
     least_curvature: float = 0.02
 
     def __post_init__(self) -> None:
-        if not self.least_curvature > 0:
-            raise ValueError(f"least_curvature must be positive, but is {self.least_curvature}.")
+        require_positive("least_curvature", self.least_curvature)
 
     def __call__(
         self, field: Field, d_theta: Float[Tensor, " p"], points: Float[Tensor, "n d"]
     ) -> Float[Tensor, "n d"]:
-        points = field.require_points(points)
         _require_update(field, d_theta)
+        points = field.require_points(points)
         least = self.least_curvature / field.size
         blocks = []
         for part in row_blocks(points, (field.dimension + 1) * len(d_theta)):
@@ -108,7 +108,7 @@ class NearIsometric:
     ) -> Float[Tensor, "n d"]:
         _require_update(field, d_theta)
         precise = field.to(torch.float64)
-        at = precise.require_points(points.to(precise.theta))
+        at = precise.require_points(precise.in_precision(points))
         model = CosineFeatures(precise) if self.model is None else self.model
         sample = sample_surface(precise, 1000, "farthest") if self.sample is None else self.sample.to(torch.float64)
         # The given motion as the only normal one: its column goes to the right-hand side.
@@ -126,5 +126,4 @@ class NearIsometric:
 
 
 def _require_update(field: Field, d_theta: Tensor) -> None:
-    if d_theta.shape != field.theta.shape:
-        raise ValueError(f"d_theta must have shape {tuple(field.theta.shape)}, but has {tuple(d_theta.shape)}.")
+    require_tensor("d_theta", d_theta, require_field(field).theta.shape, field.device)

@@ -22,14 +22,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from implicit.arguments import require_callable, require_choice, require_positive, require_whole
 from implicit.deformation import DeformationSpace
-from implicit.edit import Edit, Progress, Row
+from implicit.edit import Edit, Progress, Row, require_options
 from implicit.energies import Energy, NormalTarget, Smoothness
 from implicit.evolve import evolve
 from implicit.field import Field
 from implicit.flows import Flow, MeanCurvature
 from implicit.functionals import Functional, Volume
-from implicit.guard import Holding
+from implicit.guard import Holding, checked_constraints
 from implicit.offsurface import off_surface
 from implicit.regions import Region
 from implicit.sampling import sample_surface, thinned
@@ -58,6 +59,11 @@ class Until:
     time: float | None = None
     area: float | None = None
     sphericity: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in (("time", self.time), ("area", self.area), ("sphericity", self.sphericity)):
+            if value is not None:
+                require_positive(name, value)
 
     def met(self, row: Row) -> bool:
         """Whether a step's record fulfils it."""
@@ -118,14 +124,26 @@ def smooth(
         The edit. Each row of its history has the time, volume, area, sphericity, largest curvature, the number of
         pieces and the Euler number after the step, and `event` where these two have changed.
     """
-    if steps < 1:
-        raise ValueError(f"steps must be at least 1, but is {steps}.")
-    if method not in ("implicit", "explicit"):
-        raise ValueError(f'method must be "implicit" or "explicit", but is {method!r}.')
+    require_options(field, damping=damping, resolution=resolution, track=track, progress=progress, seed=seed)
+    constraints = checked_constraints(constraints)
+    require_whole("steps", steps)
+    require_choice("method", method, ("implicit", "explicit"))
+    if step_size is not None:
+        require_positive("step_size", step_size, "time, for mean curvature a squared length")
+    require_positive("off", off, or_zero=True)
+    require_positive("restore", restore, or_zero=True)
+    require_whole("points", points)
+    if directions is not None:
+        require_whole("directions", directions)
+    if where is not None:
+        require_callable("where", where, "a region")
+    for name, value, kind in (("until", until, Until), ("holding", holding, Holding)):
+        if value is not None and not isinstance(value, kind):
+            raise TypeError(f"{name} must be None or made by {kind.__name__}(...), but is {value!r}.")
+    if flow is not None and (isinstance(flow, type) or not callable(getattr(flow, "energies", None))):
+        raise TypeError(f"flow must be a law of motion such as MeanCurvature() or Bending(), but is {flow!r}.")
     start = sample_surface(field, points, seed=seed)
     size = _default_step(field, start, method) if step_size is None else step_size
-    if not 0 < size < math.inf:
-        raise ValueError(f"step_size must be a positive time, for mean curvature a squared length, but is {step_size}.")
     operation = _Smoothing(
         flow or MeanCurvature(),
         size,
@@ -158,6 +176,8 @@ def explicit_step_limit(field: Field, *, points: int = 400, directions: int = 20
     A step changes the motion u by step_size times its surface Laplacian, so it is stable up to 2 over the largest
     int |grad_surface u|^2 / (int u^2 + damping |d_theta|^2) of the motions that the step can choose from.
     """
+    require_whole("points", points)
+    require_whole("directions", directions)
     sample = sample_surface(field, points, seed=seed)
     space = DeformationSpace(field, directions=_directions(field, sample, sample.points[:0], directions))
     zero = torch.zeros_like(sample.weights)

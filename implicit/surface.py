@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from implicit.extraction import marched_surface, newton_to_surface
-from implicit.field import Field, SurfaceError
+from implicit.field import Field, SurfaceError, require_field
 
 # Six-point rule of degree 4 on the triangle (Dunavant 1985): two orbits (1 - 2a, a, a) and their weights.
 _TRIANGLE_ORBITS = ((0.445948490915965, 0.223381589678011), (0.091576213509771, 0.109951743655322))
@@ -33,6 +33,13 @@ class SurfaceSample:
     normals: Float[Tensor, "n d"]
     weights: Float[Tensor, " n"]
 
+    def __post_init__(self) -> None:
+        if self.normals.shape != self.points.shape or self.weights.shape != self.points.shape[:1]:
+            raise ValueError(
+                f"normals and weights must fit the {len(self.points)} points, of shapes {tuple(self.points.shape)} and "
+                f"{tuple(self.points.shape[:1])}, but have {tuple(self.normals.shape)} and {tuple(self.weights.shape)}."
+            )
+
     def __len__(self) -> int:
         return len(self.points)
 
@@ -44,6 +51,18 @@ class SurfaceSample:
     def integrate(self, density: Float[Tensor, " n"]) -> float:
         """Integral over the surface of a density given at the points."""
         return float(self.weights @ density)
+
+
+def require_sample(field: Field, sample: SurfaceSample) -> SurfaceSample:
+    """The sample as given, or a clear refusal of what is no sample of this field's surface."""
+    require_field(field)
+    if not isinstance(sample, SurfaceSample):
+        raise TypeError(
+            f"sample must be a SurfaceSample, but is a {type(sample).__name__}. Make one with surface_quadrature or "
+            "sample_surface."
+        )
+    field.require_points(sample.points, "sample.points")
+    return sample
 
 
 @dataclass(frozen=True, eq=False)

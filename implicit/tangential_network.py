@@ -21,6 +21,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.func import jvp, vmap
 
+from implicit.arguments import require_whole
 from implicit.deformation import Frame, speed_and_slope
 from implicit.energies import Killing, VectorTarget, total_energy
 from implicit.field import Field
@@ -116,8 +117,8 @@ def trained_rigid_step(
     Raises:
         ValueError: As rigid_edit, or there are no iterations.
     """
-    if iterations < 1:
-        raise ValueError(f"iterations must be at least 1, but is {iterations}.")
+    for name, value in (("iterations", iterations), ("width", width), ("depth", depth)):
+        require_whole(name, value)
     precise, sample, operation = prepare(
         field,
         handles,
@@ -185,6 +186,8 @@ class LearnedFeatures:
     """
 
     def __init__(self, network: Siren) -> None:
+        if not isinstance(network, Siren):
+            raise TypeError(f"network must be that of a TrainedStep, but is a {type(network).__name__}.")
         last = network.layers[-1]
         assert isinstance(last, nn.Linear)
         self._network, self._count = network, 4 + last.in_features

@@ -66,6 +66,13 @@ def settled_topology(
 
 def mesh_topology(V: Vertices, F: Faces) -> Topology:
     """The pieces of a closed mesh: triangles (m, 3), or segments (m, 2) in the plane."""
+    V, F = np.asarray(V), np.asarray(F)
+    if V.ndim != 2 or V.dtype.kind not in "fiu":
+        raise ValueError(f"V must be an array of points (n, D), but has shape {V.shape} and type {V.dtype}.")
+    if F.ndim != 2 or F.shape[1] not in (2, 3) or F.dtype.kind not in "iu":
+        raise ValueError(f"F must be whole numbers (m, 3) or (m, 2), but has shape {F.shape} and type {F.dtype}.")
+    if len(F) == 0 or F.min() < 0 or F.max() >= len(V):
+        raise ValueError(f"F must name some of the {len(V)} rows of V, from 0 on, but does not.")
     ends = F if F.shape[1] == 2 else np.concatenate([F[:, [0, 1]], F[:, [1, 2]], F[:, [2, 0]]])
     code = np.unique(ends.min(axis=1) * len(V) + ends.max(axis=1))
     edges = np.stack([code // len(V), code % len(V)], axis=1)

@@ -20,7 +20,16 @@ import igl
 import numpy as np
 from numpy.typing import ArrayLike
 
-from meshref.check import MeshError, check_mesh, handle_vectors, place, vertex_field, vertex_indices
+from meshref.check import (
+    MeshError,
+    check_mesh,
+    handle_vectors,
+    place,
+    require_positive,
+    require_whole,
+    vertex_field,
+    vertex_indices,
+)
 from meshref.curvature import corner_cotangents
 from meshref.topology import FloatArray, IntArray, vertex_components
 
@@ -147,11 +156,9 @@ class ArapSolver:
             MeshError: The targets do not fit the handles, or an option is not positive.
         """
         wanted = handle_vectors(targets, self.handle_vertices, "targets")
-        if iterations < 1 or energy_every < 1 or not tolerance > 0:
-            raise MeshError(
-                "iterations, energy_every and tolerance must be positive, but are "
-                f"{iterations}, {energy_every} and {tolerance}."
-            )
+        require_whole("iterations", iterations)
+        require_whole("energy_every", energy_every)
+        require_positive("tolerance", tolerance)
         begin = perf_counter()
         first = self.rigid_start(wanted) if start is None else vertex_field(start, self._V, "start").copy()
         first[self.handle_vertices] = wanted

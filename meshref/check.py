@@ -6,7 +6,9 @@ outside: normals point out, and the signed volume is positive.
 
 from __future__ import annotations
 
-from typing import Literal
+import operator
+from collections.abc import Sequence
+from typing import Any, Literal
 
 import igl
 import igl.predicates
@@ -18,6 +20,11 @@ from meshref.topology import FloatArray, IntArray, corner_fans, disagreeing_pair
 # libigl finds cotangents from edge lengths (Heron), which loses everything once the height of a triangle is
 # below the square root of the rounding unit times its longest edge: it then returns nan without a word.
 FLATTEST_FACE = 1e-8
+
+
+# Coordinates up to here have finite cubes, and boxes from here on areas and volumes that are not lost to zero.
+LARGEST_COORDINATE = 1e100
+SMALLEST_SIZE = 1e-100
 
 
 class MeshError(ValueError):
@@ -52,6 +59,8 @@ def check_mesh(
     Raises:
         MeshError: Something asked for is not so. The message names the first place.
     """
+    require_choice("degenerate", degenerate, ("refuse", "allow"))
+    require_choice("self_intersections", self_intersections, ("refuse", "allow"))
     V, F = as_arrays(V, F)
     _require_every_vertex_used(len(V), F)
     if degenerate == "refuse":
@@ -90,6 +99,12 @@ def as_arrays(V: ArrayLike, F: ArrayLike) -> tuple[FloatArray, IntArray]:
             f"F must index the {len(vertices)} rows of V, from 0 to {len(vertices) - 1}, but F[{f}, {c}] = "
             f"{faces[f, c]}. Files that count from 1 need F - 1."
         )
+    size = float((vertices.max(axis=0) - vertices.min(axis=0)).max())
+    if size < SMALLEST_SIZE:
+        raise MeshError(
+            f"V must span a box, but its longest side is {size:.3g}. Are all vertices in one place? Otherwise take "
+            "another unit of length."
+        )
     return vertices, faces
 
 
@@ -109,6 +124,11 @@ def finite_points(points: ArrayLike, name: str, what: str) -> FloatArray:
         raise MeshError(
             f"{name} must be finite, but {len(wrong)} rows are not, first {name}[{wrong[0]}] = "
             f"{place(array[wrong[0]])}. Repair the program or the file that wrote them; they cannot be guessed."
+        )
+    if np.abs(array).max(initial=0.0) > LARGEST_COORDINATE:
+        raise MeshError(
+            f"{name} must stay below {LARGEST_COORDINATE:g}, so that volumes are finite numbers, but goes up to "
+            f"{np.abs(array).max():.3g}. Take another unit of length."
         )
     return array
 
@@ -165,13 +185,43 @@ def relative_heights(V: FloatArray, F: IntArray) -> FloatArray:
     return np.asarray(np.divide(twice_area, longest, out=np.zeros(len(F)), where=longest > 0))
 
 
+def require_whole(name: str, value: Any, least: int = 1, most: int | None = None) -> None:
+    """Refuse an option that is not a whole number within its limits."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = least - 1
+    if isinstance(value, bool) or number < least or (most is not None and number > most):
+        limits = f"at least {least}" if most is None else f"from {least} to {most}"
+        raise MeshError(f"{name} must be a whole number, {limits}, but is {value!r}.")
+
+
+def require_positive(name: str, value: Any, what: str = "number", *, or_zero: bool = False) -> None:
+    """Refuse an option that is not a positive, finite number."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = np.nan
+    if not (0 < number < np.inf or (or_zero and number == 0)):
+        raise MeshError(f"{name} must be a positive {what}{' or zero' if or_zero else ''}, but is {value!r}.")
+
+
+def require_choice(name: str, value: Any, options: Sequence[object]) -> None:
+    """Refuse an option that is none of the words there are."""
+    if not isinstance(value, str | None) or value not in options:
+        raise MeshError(f"{name} must be one of {', '.join(map(repr, options))}, but is {value!r}.")
+
+
 def place(point: FloatArray) -> str:
     """A point as a reader of an error message wants it."""
     return "(" + ", ".join(f"{x:.6g}" for x in point) + ")"
 
 
 def _as_int64(indices: ArrayLike, name: str = "F") -> IntArray:
-    array = np.asarray(indices)
+    try:
+        array = np.asarray(indices)
+    except ValueError:  # rows of several lengths
+        raise MeshError(f"{name} must be an array of whole numbers, but its rows have several lengths.") from None
     if array.size == 0 and array.dtype.kind == "f":  # what np.asarray makes of an empty list
         return np.ascontiguousarray(array, dtype=np.int64)
     if array.dtype.kind == "f":

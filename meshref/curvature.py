@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from meshref.check import MeshError, check_mesh
+from meshref.check import MeshError, check_mesh, require_choice
 from meshref.measures import doubled_area_vectors, lumped_areas, summed_normals
 from meshref.topology import FloatArray, IntArray, edge_table
 
@@ -60,6 +60,7 @@ def cotangent_laplacian(
         MeshError: check_mesh refuses the mesh.
     """
     V, F = check_mesh(V, F)
+    require_cotangents(cotangents)
     return laplacian(V, F, cotangents)
 
 
@@ -76,10 +77,19 @@ def mass_matrix(V: ArrayLike, F: ArrayLike, kind: Masses = "voronoi") -> sparse.
         MeshError: check_mesh refuses the mesh, or the kind is unknown.
     """
     V, F = check_mesh(V, F)
-    if kind not in ("voronoi", "barycentric"):
-        raise MeshError(f"kind must be 'voronoi' or 'barycentric', but is {kind!r}.")
+    require_choice("kind", kind, ("voronoi", "barycentric"))
     areas = voronoi_areas(V, F) if kind == "voronoi" else lumped_areas(V, F)
     return sparse.csc_array(sparse.diags_array(areas))
+
+
+def require_cotangents(cotangents: tuple[float, float] | None) -> None:
+    """Refuse limits of cotangents that are not a lower and an upper number, or None."""
+    try:
+        lowest, highest = (np.inf, np.inf) if cotangents is None else map(float, cotangents)
+    except (TypeError, ValueError):
+        lowest, highest = np.nan, np.nan
+    if not lowest <= highest:
+        raise MeshError(f"cotangents must be None or the lowest and the highest to use, but are {cotangents!r}.")
 
 
 def laplacian(V: FloatArray, F: IntArray, cotangents: tuple[float, float] | None = None) -> sparse.csc_array:

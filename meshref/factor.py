@@ -11,13 +11,13 @@ from __future__ import annotations
 import importlib
 import importlib.util
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from meshref.check import MeshError
+from meshref.check import MeshError, require_choice
 from meshref.topology import FloatArray
 
 Solver = Literal["auto", "superlu", "cholespy", "cholmod"]
@@ -55,8 +55,7 @@ def factorise(A: sparse.csc_array, solver: Solver = "auto", *, surely_definite: 
         NotPositiveDefiniteError: A pivot is not positive, or lost in rounding.
         MeshError: The solver is unknown or not installed.
     """
-    if solver not in ("auto", "superlu", "cholespy", "cholmod"):
-        raise MeshError(f"solver must be 'auto', 'superlu', 'cholespy' or 'cholmod', but is {solver!r}.")
+    require_choice("solver", solver, get_args(Solver))
     if solver == "auto":
         solver = _best_solver(A.shape[0], surely_definite)
     if solver == "superlu":

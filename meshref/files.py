@@ -34,24 +34,26 @@ def read_mesh(path: str | os.PathLike[str]) -> tuple[FloatArray, IntArray]:
         MeshError: The file is missing, empty, of another kind, damaged, or holds no triangle mesh. Coordinates that are
             not finite are let through, for check_mesh to name.
     """
-    path = Path(path)
+    path = _as_path(path)
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise MeshError(f"the file must end in {', '.join(_READERS)}, but is called {path.name!r}. Convert it first.")
     try:
         content = path.read_bytes()
     except FileNotFoundError:
-        raise MeshError(f"there is no file {str(path)!r}. Was it meant to be relative to {os.getcwd()!r}?") from None
+        raise MeshError(f"there is no file {str(path)!r} seen from {os.getcwd()!r}. Check the path.") from None
     except IsADirectoryError:
         raise MeshError(f"{str(path)!r} is a directory. Give the file inside it.") from None
     except OSError as error:
         raise MeshError(f"the file {str(path)!r} cannot be read: {error.strerror}.") from None
     if not content.strip():
-        raise MeshError(f"the file {str(path)!r} is empty. Was it written to the end?")
+        raise MeshError(f"the file {str(path)!r} is empty. Write it again, to the end.")
     try:
         V, F = reader(content)
     except _DamageError as damage:
-        raise MeshError(f"the file {str(path)!r} is no {path.suffix.lower()} mesh: {damage}.") from None
+        raise MeshError(
+            f"the file {str(path)!r} is no {path.suffix.lower()} mesh: {damage}. Write it again, or mend that place."
+        ) from None
     if len(V) == 0 or len(F) == 0:
         raise MeshError(
             f"the file {str(path)!r} holds no triangle mesh: it has {len(V)} vertices and {len(F)} faces. "
@@ -82,16 +84,19 @@ def write_mesh(path: str | os.PathLike[str], V: ArrayLike, F: ArrayLike, *, qual
     Raises:
         MeshError: The arrays are no mesh, the ending is unknown, or the file cannot be written.
     """
-    path = Path(path)
+    path = _as_path(path)
     V, F = as_arrays(V, F)
     suffix = path.suffix.lower()
     if suffix not in _READERS:
         raise MeshError(f"the file must end in {', '.join(_READERS)}, but is called {path.name!r}.")
     values = None
     if quality is not None:
-        values = np.asarray(quality, dtype=np.float64)
+        try:
+            values = np.asarray(quality, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise MeshError(f"quality must be a number for each vertex, but {error}.") from None
         if suffix != ".ply":
-            raise MeshError(f"quality can be written to .ply only, but the file is called {path.name!r}.")
+            raise MeshError(f"quality needs a file ending in .ply, but it is called {path.name!r}.")
         if values.shape != (len(V),):
             raise MeshError(f"quality must have shape ({len(V)},), a number for each vertex, but has {values.shape}.")
     if suffix == ".ply":
@@ -101,6 +106,13 @@ def write_mesh(path: str | os.PathLike[str], V: ArrayLike, F: ArrayLike, *, qual
     else:
         content = _text_bytes(V, F, suffix)
     replace_file(path, content)
+
+
+def _as_path(path: str | os.PathLike[str]) -> Path:
+    try:
+        return Path(path)
+    except TypeError:
+        raise MeshError(f"path must be the name of a file, but is {path!r}.") from None
 
 
 def replace_file(path: Path, content: bytes) -> None:
@@ -118,7 +130,10 @@ def replace_file(path: Path, content: bytes) -> None:
         finally:
             side.unlink(missing_ok=True)
     except OSError as error:
-        raise MeshError(f"the file {str(path)!r} cannot be written: {error.strerror}.") from None
+        raise MeshError(
+            f"the file {str(path)!r} cannot be written: {error.strerror}. Name one in a folder that is there and may "
+            "be written to, on a disk with room; what stood there before is untouched."
+        ) from None
 
 
 def _write_all(file: BinaryIO, content: bytes) -> None:
@@ -148,7 +163,10 @@ def _numbers(words: list[str], line: int, kind: Callable[[str], float]) -> list[
 def _as_mesh(vertices: list[list[float]], polygons: list[list[int]]) -> tuple[FloatArray, IntArray]:
     V = np.array(vertices, dtype=np.float64).reshape(-1, 3)
     fans = [[p[0], p[k], p[k + 1]] for p in polygons for k in range(1, len(p) - 1)]
-    return V, np.array(fans, dtype=np.int64).reshape(-1, 3)
+    try:
+        return V, np.array(fans, dtype=np.int64).reshape(-1, 3)
+    except OverflowError:
+        raise _DamageError("a face names a vertex whose number has more than 18 digits") from None
 
 
 def _read_obj(content: bytes) -> tuple[FloatArray, IntArray]:
@@ -242,7 +260,7 @@ def _read_ply(content: bytes) -> tuple[FloatArray, IntArray]:
                 fans = [lists[:, [0, i, i + 1]] for i in range(1, k - 1)]
                 polygons = np.stack(fans, axis=1).reshape(-1, 3).astype(np.int64) if fans else polygons
             else:
-                polygons = _as_mesh([], [list(map(int, p)) for p in lists])[1]
+                polygons = _as_mesh([], [_whole(p) for p in lists])[1]
     return vertices, polygons
 
 
@@ -259,7 +277,7 @@ def _ply_header(header: str) -> tuple[str, list[tuple[str, int, list[_PlyPropert
             if words[:1] == ["format"]:
                 encoding = words[1]
             elif words[:1] == ["element"]:
-                elements.append((words[1], int(words[2]), []))
+                elements.append((words[1], _count(words[2]), []))
             elif words[:2] == ["property", "list"]:
                 elements[-1][2].append((words[4], _PLY_TYPES[words[3]], _PLY_TYPES[words[2]]))
             elif words[:1] == ["property"]:
@@ -271,6 +289,19 @@ def _ply_header(header: str) -> tuple[str, list[tuple[str, int, list[_PlyPropert
     return encoding, elements
 
 
+def _whole(corners: list[float]) -> list[int]:
+    if not all(corner.is_integer() for corner in map(float, corners)):
+        raise _DamageError(f"a face has the corners {corners}, which are no numbers of vertices")
+    return [int(corner) for corner in corners]
+
+
+def _count(word: str) -> int:
+    number = int(word)
+    if number < 0:
+        raise ValueError("a count below zero")
+    return number
+
+
 class _PlyAscii:
     def __init__(self, body: bytes) -> None:
         self._words = body.decode("latin-1").split()
@@ -280,12 +311,18 @@ class _PlyAscii:
         table: dict[str, list[list[float]]] = {p: [] for p, _, _ in properties}
         for _ in range(count):
             for p, _, length in properties:
-                size = 1 if length is None else int(self._take(name, 1)[0])
+                size = 1 if length is None else self._length(name)
                 table[p].append(self._take(name, size))
         return {
             p: np.array(table[p], dtype=np.float64).reshape(-1) if length is None else table[p]
             for p, _, length in properties
         }
+
+    def _length(self, name: str) -> int:
+        (number,) = self._take(name, 1)
+        if not 0 <= number <= len(self._words):
+            raise _DamageError(f"its {name} table has a list of length {number}")
+        return int(number)
 
     def _take(self, name: str, size: int) -> list[float]:
         words = self._words[self._at : self._at + size]

@@ -17,15 +17,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from time import perf_counter
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse.linalg import eigsh
 
-from meshref.check import MeshError, check_mesh, signed_volume
-from meshref.curvature import laplacian, voronoi_areas
+from meshref.check import check_mesh, require_choice, require_positive, require_whole, signed_volume
+from meshref.curvature import laplacian, require_cotangents, voronoi_areas
 from meshref.factor import NotPositiveDefiniteError, Solver, factorise
 from meshref.measures import face_areas, solid_centroid, sphericity_of, volume_gradient
 from meshref.topology import FloatArray, IntArray
@@ -109,7 +109,13 @@ def mean_curvature_flow(
         MeshError: The mesh is not closed, or an option is not one of those above.
     """
     V, F = check_mesh(V, F, closed=True)
-    _require_options(steps, step_size, method, preserve_volume, snapshot_every)
+    require_whole("steps", steps, 0)
+    require_positive("step_size", step_size, "time, a squared length")
+    require_choice("method", method, get_args(Method))
+    require_choice("preserve_volume", preserve_volume, (None, "newton", "rescale"))
+    require_cotangents(cotangents)
+    if snapshot_every is not None:
+        require_whole("snapshot_every", snapshot_every)
     begin = perf_counter()
     origin = solid_centroid(V, F)
     X = V - origin
@@ -216,16 +222,3 @@ def _restore(X: FloatArray, F: IntArray, wanted: float, how: Literal["newton", "
 def _row(step: int, time: float, X: FloatArray, F: IntArray, begin: float) -> FlowStep:
     volume, area = signed_volume(X, F), float(face_areas(X, F).sum())
     return FlowStep(step, time, volume, area, sphericity_of(volume, area), perf_counter() - begin)
-
-
-def _require_options(
-    steps: int, step_size: float, method: str, preserve_volume: str | None, snapshot_every: int | None
-) -> None:
-    if steps < 0 or (snapshot_every is not None and snapshot_every < 1):
-        raise MeshError(f"steps and snapshot_every must be positive, but are {steps} and {snapshot_every}.")
-    if not 0 < step_size < np.inf:
-        raise MeshError(f"step_size must be a positive time, a squared length, but is {step_size}.")
-    if method not in ("conformalised", "semi-implicit", "explicit"):
-        raise MeshError(f"method must be 'conformalised', 'semi-implicit' or 'explicit', but is {method!r}.")
-    if preserve_volume not in (None, "newton", "rescale"):
-        raise MeshError(f"preserve_volume must be None, 'newton' or 'rescale', but is {preserve_volume!r}.")

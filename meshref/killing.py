@@ -34,7 +34,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from meshref.check import MeshError, check_mesh, handle_vectors, place, vertex_field, vertex_indices
+from meshref.check import (
+    MeshError,
+    check_mesh,
+    handle_vectors,
+    place,
+    require_choice,
+    require_positive,
+    vertex_field,
+    vertex_indices,
+)
 from meshref.curvature import corner_cotangents, laplacian
 from meshref.factor import Solver, factorise
 from meshref.measures import doubled_area_vectors, lumped_areas
@@ -140,8 +149,7 @@ def killing_energy_density(
     """
     V, F = check_mesh(V, F)
     J = displacement_gradients(V, F, vertex_field(D, V))
-    if form not in ("membrane", "ambient"):
-        raise MeshError(f"form must be 'membrane' or 'ambient' for a density, but is {form!r}.")
+    require_choice("form", form, ("membrane", "ambient"))
     return _membrane_density(V, F, J) if form == "membrane" else _ambient_density(J)
 
 
@@ -182,16 +190,15 @@ class KillingSolver:
         start = perf_counter()
         V, F = check_mesh(V, F)
         _require_form(form)
-        if method not in ("hard", "soft"):
-            raise MeshError(f"method must be 'hard' or 'soft', but is {method!r}.")
+        require_choice("method", method, ("hard", "soft"))
         if handle_weights is not None and method == "hard":
             raise MeshError(
                 "handle_weights belong to method='soft', but method is 'hard', which moves handles exactly."
             )
-        if penalty is not None and (method == "hard" or not 0 < penalty < np.inf):
-            raise MeshError(
-                f"penalty must be positive, and belongs to method='soft', but is {penalty!r} with {method!r}."
-            )
+        if penalty is not None:
+            require_positive("penalty", penalty)
+            if method == "hard":
+                raise MeshError("a penalty must go with method='soft', but method is 'hard', which needs none.")
         handles = vertex_indices(handle_vertices, len(V), "handle_vertices")
         require_rigid_handles(V, F, handles)
         self.handle_vertices = handles
@@ -457,7 +464,10 @@ def _spokes_energy(V: FloatArray, F: IntArray, D: FloatArray) -> float:
 def _weights_of(handles: IntArray, areas: FloatArray, given: ArrayLike | None) -> FloatArray:
     if given is None:
         return areas[handles]
-    weights = np.asarray(given, dtype=np.float64)
+    try:
+        weights = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise MeshError(f"handle_weights must be {len(handles)} positive numbers, but {error}.") from None
     if weights.shape != handles.shape or not (np.isfinite(weights).all() and (weights > 0).all()):
         raise MeshError(
             f"handle_weights must be {len(handles)} positive numbers, one for each handle, but have shape "
@@ -471,5 +481,4 @@ def _coordinates_of(vertices: IntArray) -> IntArray:
 
 
 def _require_form(form: str) -> None:
-    if form not in get_args(Form):
-        raise MeshError(f"form must be one of {', '.join(get_args(Form))}, but is {form!r}.")
+    require_choice("form", form, get_args(Form))

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from meshref.check import MeshError, check_mesh, place, signed_volume
+from meshref.check import MeshError, check_mesh, place, require_choice, signed_volume
 from meshref.topology import FloatArray, IntArray, edge_table, vertex_components
 
 
@@ -129,6 +129,7 @@ def vertex_normals(V: ArrayLike, F: ArrayLike, weighting: Literal["angle", "area
         MeshError: The normals round a vertex cancel, as where a sheet is folded flat onto itself.
     """
     V, F = check_mesh(V, F)
+    require_choice("weighting", weighting, ("angle", "area"))
     total = summed_normals(V, F, weighting)
     length = np.linalg.norm(total, axis=1, keepdims=True)
     if length.min() == 0:
@@ -170,7 +171,7 @@ def solid_centroid(V: FloatArray, F: IntArray) -> FloatArray:
     corners = (V - middle)[F]
     six_volumes = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
     if six_volumes.sum() == 0:
-        raise MeshError("the mesh encloses no volume, so it has no centroid.")
+        raise MeshError("a centroid needs a mesh that encloses volume, but the volume of this one is zero.")
     return np.asarray(middle + six_volumes @ corners.sum(axis=1) / (4 * six_volumes.sum()))
 
 
@@ -187,8 +188,6 @@ def summed_normals(V: FloatArray, F: IntArray, weighting: Literal["angle", "area
     doubled = doubled_area_vectors(V, F)
     if weighting == "area":
         return scatter_to_vertices(F, np.repeat(doubled / 2, 3, axis=0), len(V))
-    if weighting != "angle":
-        raise MeshError(f"weighting must be 'angle' or 'area', but is {weighting!r}.")
     length = np.linalg.norm(doubled, axis=1, keepdims=True)
     unit = np.divide(doubled, length, out=np.zeros_like(doubled), where=length > 0)
     return scatter_to_vertices(F, (corner_angles(V, F)[:, :, None] * unit[:, None, :]).reshape(-1, 3), len(V))

@@ -24,6 +24,8 @@ from meshref.check import (
     intersecting_faces,
     place,
     relative_heights,
+    require_choice,
+    require_positive,
     signed_volume,
 )
 from meshref.measures import face_areas
@@ -102,8 +104,11 @@ def mend_mesh(
             an edge; a surface is one-sided or flat; a hole is too long; there are several bodies and they are refused.
     """
     V, F = as_arrays(V, F)
-    if bodies not in ("keep", "largest", "refuse"):
-        raise MeshError(f"bodies must be 'keep', 'largest' or 'refuse', but is {bodies!r}.")
+    require_choice("bodies", bodies, ("keep", "largest", "refuse"))
+    if merge_distance is not None:
+        require_positive("merge_distance", merge_distance, "length", or_zero=True)
+    if not (isinstance(hole_limit, int | float) and hole_limit >= 0):
+        raise MeshError(f"hole_limit must be a number of diagonals, at least 0, but is {hole_limit!r}.")
     steps: list[str] = []
     size = float(np.linalg.norm(V.max(axis=0) - V.min(axis=0)))
     given = len(V)

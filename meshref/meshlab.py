@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from meshref.check import MeshError, check_mesh
+from meshref.check import MeshError, check_mesh, require_positive, require_whole
 from meshref.topology import FloatArray, IntArray
 
 
@@ -37,7 +37,8 @@ def laplacian_smooth(V: ArrayLike, F: ArrayLike, steps: int = 3) -> FloatArray:
         MeshError: check_mesh refuses the mesh, or pymeshlab is missing or fails.
     """
     V, F = check_mesh(V, F)
-    options = {"stepsmoothnum": _positive(steps, "steps"), "cotangentweight": False}
+    require_whole("steps", steps)
+    options = {"stepsmoothnum": int(steps), "cotangentweight": False}
     return _filtered(V, F, "apply_coord_laplacian_smoothing", **options)[0]
 
 
@@ -50,9 +51,11 @@ def taubin_smooth(V: ArrayLike, F: ArrayLike, steps: int = 10, shrink: float = 0
         MeshError: check_mesh refuses the mesh, the factors have the wrong signs, or pymeshlab is missing or fails.
     """
     V, F = check_mesh(V, F)
-    if not (0 < shrink < 1 and grow < -shrink):
-        raise MeshError(f"shrink must be in (0, 1) and grow below -shrink, but they are {shrink} and {grow}.")
-    options = {"stepsmoothnum": _positive(steps, "steps"), "lambda_": shrink, "mu": grow}
+    require_whole("steps", steps)
+    require_positive("shrink", shrink)
+    if not (isinstance(grow, int | float) and shrink < 1 and grow < -shrink):
+        raise MeshError(f"shrink must be in (0, 1) and grow below -shrink, but they are {shrink} and {grow!r}.")
+    options = {"stepsmoothnum": int(steps), "lambda_": shrink, "mu": grow}
     return _filtered(V, F, "apply_coord_taubin_smoothing", **options)[0]
 
 
@@ -71,10 +74,10 @@ def isotropic_remesh(
         MeshError: check_mesh refuses the mesh, the length is not positive, or pymeshlab is missing or fails.
     """
     V, F = check_mesh(V, F)
-    if not 0 < edge_length < np.inf:
-        raise MeshError(f"edge_length must be a positive length, but is {edge_length}.")
+    require_positive("edge_length", edge_length, "length")
+    require_whole("iterations", iterations)
     target = _pymeshlab().PureValue(float(edge_length))
-    options = {"iterations": _positive(iterations, "iterations"), "targetlen": target}
+    options = {"iterations": int(iterations), "targetlen": target}
     return _filtered(V, F, "meshing_isotropic_explicit_remeshing", **options)
 
 
@@ -89,10 +92,11 @@ def hausdorff_distance(V1: ArrayLike, F1: ArrayLike, V2: ArrayLike, F2: ArrayLik
     Raises:
         MeshError: check_mesh refuses a mesh, or pymeshlab is missing or fails.
     """
+    require_whole("n", n)
     meshes = _mesh_set(*check_mesh(V1, F1)), _mesh_set(*check_mesh(V2, F2))
     both = meshes[0]
     both.add_mesh(meshes[1].current_mesh(), "second")
-    options = {"samplevert": True, "sampleface": True, "samplenum": _positive(n, "n")}
+    options = {"samplevert": True, "sampleface": True, "samplenum": int(n)}
     there = _apply(both, "get_hausdorff_distance", sampledmesh=0, targetmesh=1, **options)
     back = _apply(both, "get_hausdorff_distance", sampledmesh=1, targetmesh=0, **options)
     return MeshlabDistance(float(there["max"]), float(back["max"]), float(there["mean"]), float(back["mean"]))
@@ -132,9 +136,3 @@ def _pymeshlab() -> Any:
         return importlib.import_module("pymeshlab")
     except ImportError as error:
         raise MeshError(f"this needs pymeshlab, which cannot be imported ({error}). Install pymeshlab.") from None
-
-
-def _positive(number: int, name: str) -> int:
-    if number < 1:
-        raise MeshError(f"{name} must be positive, but is {number}.")
-    return int(number)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from meshref.check import MeshError, check_mesh, finite_points
+from meshref.check import MeshError, check_mesh, finite_points, require_whole, vertex_indices
 from meshref.distance import SignedDistanceQuery
 from meshref.measures import doubled_area_vectors, face_areas
 from meshref.topology import FloatArray, IntArray
@@ -104,9 +104,11 @@ def iou(V1: ArrayLike, F1: ArrayLike, V2: ArrayLike, F2: ArrayLike, n: int = 100
     Raises:
         MeshError: check_mesh refuses a mesh, n is not positive, or no point lies in either solid.
     """
+    require_whole("n", n)
+    require_whole("seed", seed, 0)
     first, second = SignedDistanceQuery(V1, F1), SignedDistanceQuery(V2, F2)
     both = np.concatenate([np.asarray(V1, dtype=np.float64), np.asarray(V2, dtype=np.float64)])
-    points = np.random.default_rng(seed).uniform(both.min(axis=0), both.max(axis=0), (_positive(n), 3))
+    points = np.random.default_rng(seed).uniform(both.min(axis=0), both.max(axis=0), (n, 3))
     in_first, in_second = first.inside(points), second.inside(points)
     union = np.count_nonzero(in_first | in_second)
     if union == 0:
@@ -127,12 +129,14 @@ def sample_mesh(V: ArrayLike, F: ArrayLike, n: int, seed: int = 0) -> MeshSample
         MeshError: check_mesh refuses the mesh, n is not positive, or the mesh has no area.
     """
     V, F = check_mesh(V, F, degenerate="allow")
+    require_whole("n", n)
+    require_whole("seed", seed, 0)
     doubled = doubled_area_vectors(V, F)
     length = np.linalg.norm(doubled, axis=1)
     if length.sum() == 0:
         raise MeshError("no points can be drawn from a mesh without area. Remove its degenerate faces with mend_mesh.")
     generator = np.random.default_rng(seed)
-    face = generator.choice(len(F), size=_positive(n), p=length / length.sum())
+    face = generator.choice(len(F), size=n, p=length / length.sum())
     # A parallelogram is filled evenly by two even coordinates; the half outside the triangle is folded back.
     s, t = generator.random((2, n))
     folded = s + t > 1
@@ -153,11 +157,9 @@ def handle_error(displacement: ArrayLike, handles: ArrayLike, wanted: ArrayLike)
         MeshError: The shapes do not fit.
     """
     field, target = finite_points(displacement, "displacement", "vertices"), finite_points(wanted, "wanted", "handles")
-    rows = np.asarray(handles)
-    if rows.shape != (len(target),):
-        raise MeshError(
-            f"handles must have shape ({len(target)},), as wanted has that many rows, but has {rows.shape}."
-        )
+    rows = vertex_indices(handles, len(field))
+    if len(rows) != len(target):
+        raise MeshError(f"wanted must have a row for each of the {len(rows)} handles, but has {len(target)} rows.")
     return float(np.linalg.norm(field[rows] - target, axis=1).max(initial=0.0))
 
 
@@ -178,9 +180,3 @@ def _one_way(V1: ArrayLike, F1: ArrayLike, V2: ArrayLike, F2: ArrayLike, n: int,
     dot = np.einsum("ij,ij->i", sample.normals, doubled)
     cosine = np.divide(dot, length, out=np.zeros(n), where=length > 0)
     return _OneWay(distance, cosine, float(max(distance.max(), from_vertices.max())))
-
-
-def _positive(n: int) -> int:
-    if n < 1:
-        raise MeshError(f"the number of points must be positive, but is {n}.")
-    return n

@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from meshref.check import MeshError, finite_points, require_positive, require_whole
 from meshref.topology import FloatArray, IntArray, edge_table
+
+# Each makes four faces of one; with ten an icosphere has twenty million.
+MOST_SUBDIVISIONS = 10
 
 
 def icosphere(
@@ -18,6 +22,9 @@ def icosphere(
         radius: Distance of every vertex from the centre.
         center: The centre, (3,).
     """
+    require_whole("subdivisions", subdivisions, 0, MOST_SUBDIVISIONS)
+    require_positive("radius", radius, "length")
+    middle = _place("center", center)
     golden = (1 + 5**0.5) / 2
     V = np.array([
         [-1, golden, 0], [1, golden, 0], [-1, -golden, 0], [1, -golden, 0], [0, -1, golden], [0, 1, golden],
@@ -32,7 +39,7 @@ def icosphere(
     for _ in range(subdivisions):
         V, F = split_in_four(V, F)
         V /= np.linalg.norm(V, axis=1, keepdims=True)
-    return radius * V + np.asarray(center, dtype=np.float64), F
+    return radius * V + middle, F
 
 
 def torus(
@@ -46,6 +53,10 @@ def torus(
         major_radius: Distance of the middle of the tube from the axis.
         minor_radius: Radius of the tube.
     """
+    require_whole("around", around, 3)
+    require_whole("across", across, 3)
+    require_positive("major_radius", major_radius, "length")
+    require_positive("minor_radius", minor_radius, "length")
     u, v = np.meshgrid(2 * np.pi * np.arange(around) / around, 2 * np.pi * np.arange(across) / across, indexing="ij")
     ring = major_radius + minor_radius * np.cos(v)
     V = np.stack([ring * np.cos(u), ring * np.sin(u), minor_radius * np.sin(v)], axis=-1).reshape(-1, 3)
@@ -65,7 +76,10 @@ def box(
         upper: The opposite corner, (3,).
         subdivisions: How often each triangle is split in four.
     """
-    lower, upper = np.asarray(lower, dtype=np.float64), np.asarray(upper, dtype=np.float64)
+    require_whole("subdivisions", subdivisions, 0, MOST_SUBDIVISIONS)
+    lower, upper = _place("lower", lower), _place("upper", upper)
+    if not (lower < upper).all():
+        raise MeshError(f"upper must be above lower in each coordinate, but they are {upper} and {lower}.")
     V = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)]) * (upper - lower) + lower
     F = np.array([
         [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
@@ -85,6 +99,10 @@ def cylinder(around: int, along: int, radius: float = 1.0, height: float = 2.0) 
         radius: Radius of the rings.
         height: Distance from cap to cap.
     """
+    require_whole("around", around, 3)
+    require_whole("along", along)
+    require_positive("radius", radius, "length")
+    require_positive("height", height, "length")
     angle = 2 * np.pi * np.arange(around) / around
     circle = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
     levels = np.linspace(-height / 2, height / 2, along + 1)
@@ -107,6 +125,12 @@ def split_in_four(V: FloatArray, F: IntArray) -> tuple[FloatArray, IntArray]:
     i, j, k = F.T
     faces = np.concatenate([np.stack(f, axis=1) for f in ((i, a, c), (a, j, b), (c, b, k), (a, b, c))])
     return np.concatenate([V, V[table.edges].mean(axis=1)]), faces
+
+
+def _place(name: str, point: ArrayLike) -> FloatArray:
+    """A point (3,) out of an argument."""
+    rows = finite_points([point], name, "coordinates")  # type: ignore[arg-type]  # a point of any kind
+    return rows[0]
 
 
 def _quads(a: IntArray, b: IntArray, c: IntArray, d: IntArray) -> IntArray:

@@ -17,6 +17,12 @@ def require_new_safetensors(what: str, path: Path) -> None:
     require_folder_for(path)
 
 
+def require_seed(seed: int) -> None:
+    """A number that random choices can begin with."""
+    if seed < 0:
+        raise InputError(f"--seed must be at least 0, but is {seed}.")
+
+
 def require_folder_for(path: Path) -> None:
     """The nearest folder above that exists must be one, and writable."""
     above = path.absolute().parent

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import tyro
 
 from compare.case import MESH_SUFFIXES
-from compare.commands.checks import require_folder_for, require_new_safetensors
+from compare.commands.checks import require_folder_for, require_new_safetensors, require_seed
 from compare.commands.shown import add_task, progress_bars, speaker, teller
 from compare.subject import InputError, check_shape
 
@@ -41,6 +41,7 @@ class Fit:
 
 def fit(command: Fit) -> int:
     """Check the mesh and the output, fit, and save."""
+    require_seed(command.seed)
     require_new_safetensors("A field", command.output)
     if command.mesh.suffix.lower() not in MESH_SUFFIXES:
         raise InputError(f"A mesh is a file ending in {', '.join(MESH_SUFFIXES)}, but got {command.mesh}.")

@@ -12,7 +12,7 @@ import tyro
 from numpy import ndarray
 
 from compare.case import OPERATIONS, QUICK_FIT, QUICK_SIZE, Case, default_cases
-from compare.commands.checks import require_folder_for
+from compare.commands.checks import require_folder_for, require_seed
 from compare.commands.exits import FAILED
 from compare.commands.shown import add_task, advance, print_json, print_table, progress_bars, speaker, teller
 from compare.executors import WorkerDiedError, executor_of
@@ -49,6 +49,7 @@ class Run:
 
 def run(command: Run) -> int:
     """Check everything, then prepare each shape, run its cases, and write the report."""
+    require_seed(command.seed)
     folder = command.output or Path("results") / f"run-{datetime.now():%Y%m%d-%H%M%S}"
     _require_run_folder(folder, command.resume)
     if command.dask is not None:  # its workers have folders of their own to start from

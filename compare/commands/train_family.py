@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from compare.commands.checks import require_folder_for, require_new_safetensors
+from compare.commands.checks import require_folder_for, require_new_safetensors, require_seed
 from compare.commands.shown import add_task, progress_bars, teller
 from compare.subject import InputError
 
@@ -49,6 +49,7 @@ class TrainFamily:
 
 def train_family(command: TrainFamily) -> int:
     """Check the output, train, save, and score what was saved."""
+    require_seed(command.seed)
     require_new_safetensors("A model", command.output)
     numbers = ("shapes", "latent", "width", "steps", "batch", "validation")
     if small := [f"--{name}" for name in numbers if getattr(command, name) < 1]:

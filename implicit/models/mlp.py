@@ -14,6 +14,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from implicit.arguments import require_whole
+
 
 class Mlp(nn.Module):
     """Points (N, D) to values (N,) through hidden layers of softplus or ReLU.
@@ -39,10 +41,9 @@ class Mlp(nn.Module):
         generator: torch.Generator | None = None,
     ) -> None:
         super().__init__()
-        if dimension not in (2, 3) or width < 1 or depth < 1:
-            raise ValueError(
-                f"Mlp needs dimension 2 or 3, width and depth of at least 1, but got {dimension}, {width}, {depth}."
-            )
+        require_whole("dimension", dimension, 2, "", 3)
+        require_whole("width", width)
+        require_whole("depth", depth)
         if activation not in ("softplus", "relu") or not sharpness > 0:
             raise ValueError(
                 'Mlp needs activation "softplus" or "relu" and a positive sharpness, but got '

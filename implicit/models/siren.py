@@ -12,6 +12,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from implicit.arguments import require_positive, require_whole
+
 
 class Siren(nn.Module):
     """Points (N, D) to values (N,) through hidden layers of sines.
@@ -43,10 +45,11 @@ class Siren(nn.Module):
         generator: torch.Generator | None = None,
     ) -> None:
         super().__init__()
-        if dimension not in (2, 3) or width < 1 or depth < 1:
-            raise ValueError(
-                f"Siren needs dimension 2 or 3, width and depth of at least 1, but got {dimension}, {width}, {depth}."
-            )
+        require_whole("dimension", dimension, 2, "", 3)
+        require_whole("width", width)
+        require_whole("depth", depth)
+        require_positive("first_frequency", first_frequency)
+        require_positive("frequency", frequency)
         self.first_frequency = float(first_frequency)
         self.frequency = float(frequency)
         widths = [dimension] + [width] * depth + [1]

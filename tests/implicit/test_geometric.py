@@ -233,7 +233,7 @@ def test_the_callers_field_stays_as_it_is(wobbly):
             {},
             "No point of the surface lies in the region of handles\\[0\\]",
         ),
-        ([Handle(EVERYWHERE, (float("inf"), 0, 0))], {}, "not finite"),
+        ([Handle(EVERYWHERE, lambda points: points * float("inf"))], {}, "not finite"),
         ([Handle(EVERYWHERE, (1.0, 0))], {}, "must be a vector of 3"),
         ([Handle(EVERYWHERE, Along(0.1))], {"parts": 0}, "parts must be at least 1"),
         ([Handle(EVERYWHERE, Along(0.1))], {"rest": "loose"}, "rest must be"),

@@ -4,7 +4,9 @@ import pytest
 import torch
 
 from implicit import Area, Holding, Siren, SurfaceIntegral, Volume, VolumeIntegral, shapes, smooth, surface_quadrature
+from implicit.deformation import DeformationSpace
 from implicit.edit import EditStatus
+from implicit.guard import Guard
 
 COARSE = {"steps": 3, "step_size": 1e-3, "points": 300, "resolution": 24}
 
@@ -85,3 +87,13 @@ def test_contradictory_targets_end_in_a_status():
     edit = smooth(field, constraints=(Volume(), Area(target=4.0)), **COARSE)
     assert edit.status is EditStatus.CONSTRAINT_NOT_HELD
     assert torch.equal(edit.field.theta, field.theta)
+
+
+def test_the_row_of_a_constraint_leads_to_its_target():
+    """Of a sphere told to hold one percent more volume: the radius that the row asks for encloses it."""
+    ball = shapes.sphere(0.5, parameters=["radius"])
+    target = 1.01 * shapes.exact_volume(ball)
+    guard = Guard(ball, (Volume(target=target),), Holding(resolution=16, fine_resolution=16), always=False)
+    C, r = guard.rows(ball, DeformationSpace(ball))
+    grown = ball.with_theta(ball.theta + r / C[:, 0])
+    assert shapes.exact_volume(grown) == pytest.approx(target, rel=1e-4)

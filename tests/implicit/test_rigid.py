@@ -5,9 +5,11 @@ import torch
 
 from implicit import (
     Ball,
+    Field,
     HalfSpace,
     Handle,
     RigidMotion,
+    Siren,
     Volume,
     rigid_edit,
     sample_surface,
@@ -15,6 +17,7 @@ from implicit import (
     surface_quadrature,
 )
 from implicit.edit import EditStatus
+from implicit.rigid_motion import Placement
 from implicit.tangential import CosineFeatures
 
 HEAD = HalfSpace((0, 0.5, 0), (0, 1, 0))
@@ -110,3 +113,23 @@ def test_handles_on_one_line_are_refused(wobbly):
 def test_a_curve_is_refused():
     with pytest.raises(ValueError, match="3 dimensions"):
         rigid_edit(shapes.circle(0.5), [])
+
+
+def some_points(count=20):
+    return torch.randn(count, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+
+
+def test_a_placed_network_has_the_values_of_where_its_points_came_from():
+    """f'(R x + t) = f(x)."""
+    x = some_points()
+    rotation = torch.linalg.matrix_exp(torch.tensor([[0.0, -0.3, 0.2], [0.3, 0.0, -0.5], [-0.2, 0.5, 0.0]]).double())
+    placement = Placement(rotation, torch.tensor([0.1, -0.2, 0.3], dtype=torch.float64))
+    field = Field(Siren(width=8).double())
+    torch.testing.assert_close(placement.field(field).value(placement.at(x)), field.value(x))
+    torch.testing.assert_close(placement.undone(placement.at(x)), x)
+
+
+def test_a_placement_of_mirrored_points_is_no_reflection():
+    x = some_points()
+    placement = Placement.fitting(x, x * torch.tensor([-1.0, 1.0, 1.0]), torch.ones(len(x), dtype=torch.float64))
+    torch.testing.assert_close(torch.linalg.det(placement.rotation), torch.tensor(1.0, dtype=torch.float64))

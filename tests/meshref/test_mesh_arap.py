@@ -114,8 +114,8 @@ def test_the_rigid_fit_takes_the_smallest_turn_left_open():
         ({"handles": [0, 0, 1]}, "vertex 0 appears 2 times"),
         ({"handles": [0, 1, 999]}, r"handle_vertices\[2\] = 999"),
         ({"handles": [0, 1]}, "targets must have a row for each of the 2 handles, but has 3"),
-        ({"iterations": 0}, "must be positive"),
-        ({"tolerance": 0.0}, "must be positive"),
+        ({"iterations": 0}, "iterations must be a whole number, at least 1"),
+        ({"tolerance": 0.0}, "tolerance must be a positive number"),
         ({"start": np.zeros((2, 3))}, "start must have a row for each of the 42 vertices"),
     ],
 )
@@ -131,3 +131,10 @@ def test_each_body_needs_a_handle():
     V2, F2 = np.concatenate([V, V + 5]), np.concatenate([F, F + len(V)])
     with pytest.raises(MeshError, match=r"needs a handle vertex, but 1 of 2 have none, first the part of vertex 42"):
         ArapSolver(V2, F2, [0, 1, 2])
+
+
+def test_a_mirrored_mesh_is_not_a_rigid_motion_for_arap():
+    """A reflection would explain the mirror image at no cost; no rotation does."""
+    V, F = torus(8, 6)
+    assert arap_energy(V, F, V @ turn(40).T) == pytest.approx(0, abs=1e-12)
+    assert arap_energy(V, F, V * (-1, 1, 1)) > 1

@@ -68,5 +68,5 @@ def test_voronoi_masses_are_those_of_libigl_and_add_up(rng):
 
 
 def test_an_unknown_mass_is_refused():
-    with pytest.raises(MeshError, match="kind must be 'voronoi' or 'barycentric'"):
+    with pytest.raises(MeshError, match="kind must be one of 'voronoi', 'barycentric'"):
         mass_matrix(*icosphere(1), kind="full")

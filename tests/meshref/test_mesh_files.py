@@ -189,7 +189,7 @@ def test_what_cannot_be_written_is_refused(tmp_path):
         write_mesh(tmp_path / "nowhere" / "mesh.ply", V, F)
     with pytest.raises(MeshError, match="must end in"):
         write_mesh(tmp_path / "mesh.xyz", V, F)
-    with pytest.raises(MeshError, match=r"quality can be written to \.ply only"):
+    with pytest.raises(MeshError, match=r"quality needs a file ending in \.ply"):
         write_mesh(tmp_path / "mesh.obj", V, F, quality=V[:, 0])
     with pytest.raises(MeshError, match=r"quality must have shape \(42,\)"):
         write_mesh(tmp_path / "mesh.ply", V, F, quality=V)

@@ -137,12 +137,12 @@ def test_snapshots_and_progress():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"steps": -1}, "steps and snapshot_every"),
+        ({"steps": -1}, "steps must be a whole number"),
         ({"step_size": 0.0}, "step_size must be a positive time"),
         ({"step_size": np.nan}, "step_size must be a positive time"),
-        ({"method": "upside-down"}, "method must be 'conformalised'"),
-        ({"preserve_volume": "yes"}, "preserve_volume must be None"),
-        ({"snapshot_every": 0}, "steps and snapshot_every"),
+        ({"method": "upside-down"}, "method must be one of 'conformalised'"),
+        ({"preserve_volume": "yes"}, "preserve_volume must be one of None"),
+        ({"snapshot_every": 0}, "snapshot_every must be a whole number"),
     ],
 )
 def test_unknown_options_are_refused(options, message):

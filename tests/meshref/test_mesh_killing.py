@@ -14,11 +14,13 @@ from meshref import (
     area,
     box,
     cylinder,
+    face_normals,
     icosphere,
     killing,
     killing_energy,
     killing_energy_density,
     torus,
+    vertex_areas,
 )
 from meshref.measures import face_areas
 
@@ -275,13 +277,13 @@ def test_a_membrane_that_can_fold_freely_is_reported():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"form": "thin shell"}, "form must be one of membrane"),
-        ({"method": "medium"}, "method must be 'hard' or 'soft'"),
-        ({"method": "soft", "penalty": -1.0}, "penalty must be positive"),
-        ({"penalty": 1.0}, "penalty must be positive, and belongs to method='soft'"),
+        ({"form": "thin shell"}, "form must be one of 'membrane'"),
+        ({"method": "medium"}, "method must be one of 'hard', 'soft'"),
+        ({"method": "soft", "penalty": -1.0}, "penalty must be a positive number"),
+        ({"penalty": 1.0}, "penalty must go with method='soft'"),
         ({"handle_weights": [1, 1, 1, 1]}, "handle_weights belong to method='soft'"),
         ({"method": "soft", "handle_weights": [1, 1]}, "handle_weights must be 4 positive numbers"),
-        ({"solver": "abacus"}, "solver must be 'auto'"),
+        ({"solver": "abacus"}, "solver must be one of 'auto'"),
     ],
 )
 def test_unknown_options_are_refused(options, message):
@@ -295,6 +297,27 @@ def test_fields_of_the_wrong_size_are_refused():
         killing_energy(V, F, V[1:])
     with pytest.raises(MeshError, match="displacements must have a row for each of the 4 handles, but has 3"):
         killing(V, F, [0, 5, 9, 11], np.zeros((3, 3)))
-    with pytest.raises(MeshError, match="form must be 'membrane' or 'ambient' for a density"):
+    with pytest.raises(MeshError, match="form must be one of 'membrane', 'ambient'"):
         killing_energy_density(V, F, V, "spokes")
     assert area(V, F) > 0
+
+
+def test_the_gradient_of_a_linear_displacement_is_its_matrix(rng):
+    """J = A P, for a linear element knows nothing of the slope along the normal."""
+    V, F = torus(8, 6)
+    A = rng.standard_normal((3, 3))
+    n = face_normals(V, F)
+    flat = np.eye(3) - n[:, :, None] * n[:, None, :]
+    np.testing.assert_allclose(killing_module.displacement_gradients(V, F, V @ A.T), A @ flat, atol=1e-12)
+
+
+def test_soft_handles_weigh_by_their_area():
+    """At the minimum the slope of the energy balances that of penalty times the squared miss, times the area."""
+    V, F = torus(8, 6)
+    handles, penalty = np.array([0, 7, 20, 33]), 3.0
+    wanted = np.array([[0.0, 0.0, 0.1], [0.1, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, -0.1, 0.0]])
+    d = killing(V, F, handles, wanted, method="soft", penalty=penalty).displacement
+    slope = (killing_module.energy_matrix(V, F, "spokes-and-rims") @ d.ravel()).reshape(-1, 3)
+    pull = np.zeros_like(V)
+    pull[handles] = penalty * vertex_areas(V, F)[handles, None] * (d[handles] - wanted)
+    np.testing.assert_allclose(slope, -pull, atol=1e-10)

@@ -25,6 +25,7 @@ from meshref import (
     vertex_normals,
     volume,
 )
+from meshref.measures import volume_gradient
 
 
 def exact_volume(V, F):
@@ -146,5 +147,20 @@ def test_vertex_areas_add_up():
 
 
 def test_an_unknown_weighting_is_refused():
-    with pytest.raises(MeshError, match="weighting must be 'angle' or 'area'"):
+    with pytest.raises(MeshError, match="weighting must be one of 'angle', 'area'"):
         vertex_normals(*box(), weighting="length")
+
+
+def test_the_gradient_of_the_volume_matches_differences(rng):
+    V, F = torus(8, 6)
+    way = rng.standard_normal(V.shape)
+    step = 1e-4  # the volume is a cubic, so the error of the central difference is its square
+    slope = (volume(V + step * way, F) - volume(V - step * way, F)) / (2 * step)
+    assert (volume_gradient(V, F) * way).sum() == pytest.approx(slope, rel=1e-5)
+
+
+def test_the_centroid_of_a_pyramid_is_a_quarter_up():
+    """Where the mean of its vertices is a fifth up."""
+    V = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.3, 0.4, 2.0]])
+    F = [[0, 2, 1], [0, 3, 2], [0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]
+    np.testing.assert_allclose(centroid(V, F), [0.5 * 0.75 + 0.3 / 4, 0.5 * 0.75 + 0.4 / 4, 0.5], rtol=1e-14)

@@ -101,7 +101,7 @@ def test_handle_error_is_the_largest_miss():
 
 @pytest.mark.parametrize("n", [0, -5])
 def test_the_number_of_points_must_be_positive(n):
-    with pytest.raises(MeshError, match="number of points must be positive"):
+    with pytest.raises(MeshError, match="n must be a whole number"):
         sample_mesh(*icosphere(1), n)
 
 
