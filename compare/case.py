@@ -51,6 +51,8 @@ QUICK: dict[Operation, dict[str, Any]] = {
     "smooth": {"steps": 4, "step_size": 1e-3, "implicit": {"points": 1000, "resolution": 32}},
     "rigid": {"implicit": {"steps": 3, "points": 500}},
 }
+QUICK_SIZE = {"vertices": 1200, "resolution": 48}
+QUICK_FIT = {"steps": 600}  # for a shape given as a mesh
 
 
 @dataclass(frozen=True)

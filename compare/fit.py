@@ -127,9 +127,7 @@ def fit_mesh(
     """
     start = perf_counter()
     V, F, mending = meshref.mend_mesh(V, F, bodies=bodies, hole_limit=hole_limit)
-    lower, upper = V.min(axis=0), V.max(axis=0)
-    units = Units(float((upper - lower).max()) / SIDE, tuple(((lower + upper) / 2).tolist()))
-    V = (V - (lower + upper) / 2) / units.scale
+    V, units = place_in_cube(V)
     query = meshref.SignedDistanceQuery(V, F)
     points = sample_space(V, F, seed)
     answer = query(points)
@@ -149,6 +147,13 @@ def fit_mesh(
         **training,
     )
     return field, _report(field, how, V, F, mending.steps, seed, start)
+
+
+def place_in_cube(V: Float[ndarray, "n 3"]) -> tuple[Float[ndarray, "n 3"], Units]:
+    """Vertices moved and scaled so that their box is centred with longest side SIDE, and the way back."""
+    lower, upper = V.min(axis=0), V.max(axis=0)
+    units = Units(float((upper - lower).max()) / SIDE, tuple(((lower + upper) / 2).tolist()))
+    return (V - (lower + upper) / 2) / units.scale, units
 
 
 def sample_space(V: Float[ndarray, "n 3"], F: Int[ndarray, "m 3"], seed: int) -> Float[ndarray, "k 3"]:

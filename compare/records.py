@@ -12,11 +12,8 @@ import hashlib
 import json
 import math
 import os
-import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, field as default
-from datetime import UTC, datetime
-from importlib import metadata
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -25,7 +22,6 @@ from compare.case import Case
 
 SCHEMA = 1
 FILE = "results.jsonl"
-PACKAGES = ("implicit-vs-mesh", "torch", "numpy", "scipy", "libigl", "pymeshlab", "trimesh", "scikit-image")
 
 
 @dataclass(frozen=True)
@@ -128,38 +124,9 @@ def read(path: str | PathLike[str]) -> list[Record]:
     return records
 
 
-def provenance(seed: int) -> dict[str, Any]:
-    """Versions, machine and settings that a number may depend on."""
-    import torch
-
-    versions: dict[str, str | None] = {}
-    for name in PACKAGES:
-        try:
-            versions[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:  # run from the sources, without installation
-            versions[name] = None
-    return {
-        "time": datetime.now(UTC).isoformat(timespec="seconds"),
-        "seed": seed,
-        "versions": versions,
-        "python": platform.python_version(),
-        "platform": platform.platform(),
-        "processor": _processor(),
-        "cores": os.cpu_count(),
-        "threads": torch.get_num_threads(),
-        "device": "cpu",
-        "dtype": "float64",
-    }
-
-
-def _processor() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    except OSError:  # not Linux
-        pass
-    return platform.processor()
+def latest(path: str | PathLike[str]) -> list[Record]:
+    """The last record of each case in a file or run folder, as `read`: a case that failed may have been run again."""
+    return list({record.key: record for record in read(path)}.values())
 
 
 def _cut_torn_line(path: Path) -> None:

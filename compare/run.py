@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, as_completed
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from os import PathLike
 from pathlib import Path
 from time import perf_counter
@@ -28,18 +28,26 @@ from compare.operations import (
     edit_mesh_by_biharmonic,
     wanted_motion,
 )
+from compare.provenance import provenance
 from compare.records import Artefact, Record
 from compare.subject import Progress, Subject, describe, prepare_subject
 from compare.table import SIDES
 
 
-def run_case(case: Case, *, folder: str | PathLike[str] | None = None, progress: Progress | None = None) -> Record:
+def run_case(
+    case: Case,
+    *,
+    folder: str | PathLike[str] | None = None,
+    keep_meshes: bool = True,
+    progress: Progress | None = None,
+) -> Record:
     """Edit the shape of a case as a field and as a mesh, and compare.
 
     Args:
         case: What to do.
         folder: Where the edited field and the meshes are written, with the subject, which cases of the same shape
             share; None writes nothing.
+        keep_meshes: Whether the edited field and the meshes are written too; the subject always is.
         progress: Told of each step: (step, steps, what is being done).
 
     Returns:
@@ -78,7 +86,7 @@ def run_case(case: Case, *, folder: str | PathLike[str] | None = None, progress:
     seconds = {**subject.seconds, "measures": perf_counter() - start}
 
     artefacts: Mapping[str, Artefact] = {}
-    if folder is not None:
+    if folder is not None and keep_meshes:
         start = perf_counter()
         artefacts = _write(case, subject, wanted, sides, errors, result, folder)
         seconds["files"] = perf_counter() - start
@@ -92,7 +100,7 @@ def run_case(case: Case, *, folder: str | PathLike[str] | None = None, progress:
         seconds=seconds,
         notes=(*subject.notes, *_remarks(case, subject, rows)),
         artefacts=artefacts,
-        provenance=records.provenance(case.seed),
+        provenance=provenance(case),
     )
     return Record.from_dict(record.to_dict())  # plain numbers and lists, the same as will be read from its row
 
@@ -102,33 +110,41 @@ def run_cases(
     executor: Executor | None = None,
     *,
     folder: str | PathLike[str] | None = None,
+    keep_meshes: bool = True,
     progress: Progress | None = None,
     on_record: Callable[[Record], None] | None = None,
 ) -> list[Record]:
     """Run every case, here or on any concurrent.futures.Executor.
 
-    A case that fails becomes a record with its reason; it never ends the others.
+    A case that fails becomes a record with its reason; it never ends the others. Of a pool of processes in which one
+    may be killed, take compare.Workers: in the standard ProcessPoolExecutor all that is not done yet fails with it.
 
     Args:
-        cases: What to do; each carries its own seed.
-        executor: Where; None runs them here, one after another.
+        cases: What to do; each carries its own seed. One that is named twice is done once.
+        executor: Where; None runs them here, one after another. Its workers must see the same files.
         folder: A run folder: each record is appended to its results.jsonl as it comes, and cases whose key is there
             already without a failure are not run again.
+        keep_meshes: As for run_case.
         progress: As for run_case; told only of what runs here.
         on_record: Called with each record as it comes.
 
     Returns:
         The records in the order of the cases, those found in the folder included.
     """
-    path = None if folder is None else Path(folder) / records.FILE
+    folder = None if folder is None else Path(folder).absolute()
     done: dict[str, Record] = {}
-    if path is not None and path.is_file():
-        done = {r.key: r for r in records.read(path) if not r.failed}
-    missing = [case for case in cases if case.key not in done]
-    for record in _results(missing, executor, folder, progress):
-        if path is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            records.append(path, record)
+    if folder is not None and (folder / records.FILE).is_file():
+        done = {r.key: r for r in records.read(folder) if not r.failed}
+    missing = list({case.key: case for case in cases if case.key not in done}.values())
+    results: Iterable[Record]
+    if executor is None:
+        results = (_record_of(case, folder, keep_meshes, progress) for case in missing)
+    else:
+        results = _results(missing, executor, folder, keep_meshes)
+    for record in results:
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+            records.append(folder / records.FILE, record)
         done[record.key] = record
         if on_record is not None:
             on_record(record)
@@ -136,30 +152,54 @@ def run_cases(
 
 
 def _results(
-    cases: Sequence[Case], executor: Executor | None, folder: str | PathLike[str] | None, progress: Progress | None
-) -> Iterator[Record]:
-    if executor is None:
-        for case in cases:
-            yield _record_of(case, folder, progress)
-        return
-    futures = {executor.submit(_record_of, case, folder): case for case in cases}
-    for future in as_completed(futures):
+    cases: Sequence[Case], executor: Executor, folder: Path | None, keep_meshes: bool
+) -> Generator[Record, None, None]:
+    """Records as they come. In a folder, the first case of a subject goes ahead and prepares what the others share."""
+
+    def group_of(case: Case) -> str:
+        return case.key if folder is None else case.subject_key
+
+    waiting: dict[str, list[Case]] = {}
+    for case in cases:
+        waiting.setdefault(group_of(case), []).append(case)
+
+    def submit(case: Case) -> Future[Record]:
         try:
-            yield future.result()
-        except Exception as error:  # the worker itself died; what the case raised is in its record already
-            yield _failure(futures[future], error)
+            return executor.submit(_record_of, case, folder, keep_meshes)
+        except Exception as error:  # the pool is broken; what it has not done becomes rows all the same
+            refused: Future[Record] = Future()
+            refused.set_exception(error)
+            return refused
 
-
-def _record_of(case: Case, folder: str | PathLike[str] | None, progress: Progress | None = None) -> Record:
+    running = {submit(group[0]): group[0] for group in waiting.values()}
     try:
-        return run_case(case, folder=folder, progress=progress)
+        while running:
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                case = running.pop(future)
+                running |= {submit(other): other for other in waiting.pop(group_of(case), [])[1:]}
+                yield _result(future, case)
+    finally:  # Ctrl-C, or a full disk: nothing more is begun
+        for future in running:
+            future.cancel()
+
+
+def _result(future: Future[Record], case: Case) -> Record:
+    try:
+        return future.result()
+    except Exception as error:  # the worker itself died; what the case raised is in its record already
+        return _failure(case, error)
+
+
+def _record_of(case: Case, folder: Path | None, keep_meshes: bool, progress: Progress | None = None) -> Record:
+    try:
+        return run_case(case, folder=folder, keep_meshes=keep_meshes, progress=progress)
     except Exception as error:  # whatever it is, it belongs to this case alone, and stands in its row
         return _failure(case, error)
 
 
 def _failure(case: Case, error: Exception) -> Record:
     reason = f"{type(error).__name__}: {error}"
-    return Record(case, case.key, f"Failed. {reason}", failed=True, provenance=records.provenance(case.seed))
+    return Record(case, case.key, f"Failed. {reason}", failed=True, provenance=provenance(case))
 
 
 def _remarks(case: Case, subject: Subject, rows: Mapping[str, Mapping[str, Any]]) -> list[str]:

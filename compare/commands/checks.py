@@ -1,0 +1,26 @@
+"""What several commands refuse before any work: outputs that cannot be written, or would be written over."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from compare.subject import InputError
+
+
+def require_new_safetensors(what: str, path: Path) -> None:
+    """A file of that kind that is not there yet, where one can be written."""
+    if path.suffix != ".safetensors":
+        raise InputError(f"{what} is written to a file ending in .safetensors, but the output is {path}.")
+    if path.exists():
+        raise InputError(f"{path} is there already and is not written over. Name another file or remove it.")
+    require_folder_for(path)
+
+
+def require_folder_for(path: Path) -> None:
+    """The nearest folder above that exists must be one, and writable."""
+    above = path.absolute().parent
+    while not above.exists():
+        above = above.parent
+    if not above.is_dir() or not os.access(above, os.W_OK):
+        raise InputError(f"{path} cannot be written: {above} is not a folder that you may write to. Name another.")

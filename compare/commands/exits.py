@@ -1,0 +1,6 @@
+"""How the command line ends: its exit codes."""
+
+DONE = 0
+FAILED = 1  # a case failed; the others are done
+INPUT = 2  # what the user gave cannot be used; nothing was done
+INTERRUPTED = 130  # Ctrl-C

@@ -1,0 +1,85 @@
+"""implicit-vs-mesh fit: a neural field for a mesh, and how good it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from json import dumps
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from compare.case import MESH_SUFFIXES
+from compare.commands.checks import require_folder_for, require_new_safetensors
+from compare.commands.shown import add_task, progress_bars, speaker, teller
+from compare.subject import InputError, check_shape
+
+
+@dataclass
+class Fit:
+    """Fit a neural field to a mesh, and write how good it is beside it, as .json."""
+
+    mesh: tyro.conf.Positional[Path]
+    """The mesh: .obj, .off, .ply or .stl."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Where the field goes: a file ending in .safetensors that is not there yet."""
+    width: int = 32
+    """Units in each hidden layer."""
+    depth: int = 3
+    """Hidden layers."""
+    activation: Literal["sine", "softplus", "relu"] = "sine"
+    """Of the hidden layers."""
+    steps: int = 4000
+    """Of the training."""
+    checkpoint: Path | None = None
+    """A file to keep the state of the training in; if it is there already, the training goes on from it."""
+    seed: int = 0
+    """Of the samples and the first weights."""
+    quiet: bool = False
+    """Print nothing but errors."""
+
+
+def fit(command: Fit) -> int:
+    """Check the mesh and the output, fit, and save."""
+    require_new_safetensors("A field", command.output)
+    if command.mesh.suffix.lower() not in MESH_SUFFIXES:
+        raise InputError(f"A mesh is a file ending in {', '.join(MESH_SUFFIXES)}, but got {command.mesh}.")
+    if min(command.width, command.depth, command.steps) < 1:
+        raise InputError(
+            f"--width, --depth and --steps must be at least 1, but are {command.width}, {command.depth} and "
+            f"{command.steps}."
+        )
+    if command.checkpoint is not None:
+        require_folder_for(command.checkpoint)
+        command.checkpoint.parent.mkdir(parents=True, exist_ok=True)
+    say = speaker(command.quiet)
+    for sentence in check_shape(str(command.mesh)):
+        say(sentence)
+
+    import implicit
+    import meshref
+    from compare.fit import fit_mesh
+    from compare.records import replace_file
+
+    V, F = meshref.read_mesh(command.mesh)
+    with progress_bars(command.quiet) as bars:
+        tell = teller(bars, add_task(bars, command.mesh.name, None))
+        try:
+            field, quality = fit_mesh(
+                V,
+                F,
+                width=command.width,
+                depth=command.depth,
+                activation=command.activation,
+                steps=command.steps,
+                seed=command.seed,
+                bodies="refuse",
+                checkpoint=command.checkpoint,
+                progress=lambda step, steps, _: tell(step, steps, "fitting a field"),
+            )
+        except ValueError as error:  # a checkpoint of another fit, say
+            raise InputError(str(error)) from error
+    implicit.save_field(field, command.output)
+    replace_file(command.output.with_suffix(".json"), dumps(quality.to_dict(), indent=2).encode())
+    say(f"{command.output}: {quality.parameters} parameters, {quality.seconds:.0f} s. {quality.verdict}")
+    return 0

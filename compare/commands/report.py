@@ -1,0 +1,31 @@
+"""implicit-vs-mesh report: the page of a run folder again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from compare.records import latest
+from compare.subject import InputError
+
+
+@dataclass
+class Report:
+    """Write report.html of a run folder again."""
+
+    folder: tyro.conf.Positional[Path]
+    """What `run` wrote."""
+
+
+def report(command: Report) -> int:
+    """Write the page from the rows and meshes that are there."""
+    from compare.report import report as write_report
+
+    try:
+        page = write_report(latest(command.folder), command.folder / "report.html")
+    except (FileNotFoundError, ValueError) as error:
+        raise InputError(str(error)) from error
+    print(page)
+    return 0

@@ -1,0 +1,127 @@
+"""What several commands show while they work: sentences, and bars on stderr, so that stdout is left to results."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from json import dumps
+from typing import TYPE_CHECKING, Any
+
+from compare.records import Record
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bars
+
+
+SPEED_PERIOD = 24 * 3600.0  # seconds over which the time left is estimated; rich's 30 may not hold one case
+
+
+def speaker(quiet: bool, *, to_stderr: bool = False) -> Callable[[str], None]:
+    """What says a sentence to the user, or keeps quiet."""
+
+    def say(sentence: str) -> None:
+        if not quiet:
+            print(sentence, file=sys.stderr if to_stderr else sys.stdout, flush=True)
+
+    return say
+
+
+def progress_bars(quiet: bool) -> AbstractContextManager[Bars | None]:
+    """Bars for what takes long; None in their place where nothing is to be shown."""
+    if quiet:
+        return nullcontext()
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    # On stderr, so that --json leaves stdout to the records.
+    return Progress(
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[what]}", markup=False),
+        console=Console(stderr=True),
+        speed_estimate_period=SPEED_PERIOD,
+    )
+
+
+def add_task(bars: Bars | None, name: str, total: int | None, done: int = 0) -> Any:
+    """A bar more; it is not full until its total is known."""
+    return None if bars is None else bars.add_task(name, total=total, completed=done, what="")
+
+
+def teller(bars: Bars | None, task: Any) -> Callable[[int, int, str], None]:
+    """The progress callback of the library, for a bar."""
+
+    def tell(step: int, steps: int, what: str) -> None:
+        if bars is not None:
+            bars.update(task, completed=step, total=steps, what=what)
+
+    return tell
+
+
+def advance(bars: Bars | None, task: Any) -> None:
+    """One more is done."""
+    if bars is not None:
+        bars.advance(task)
+
+
+def finish(bars: Bars | None, task: Any) -> None:
+    """All is done."""
+    if bars is not None:
+        bars.update(task, completed=1, total=1, what="done")
+
+
+def print_json(records: Sequence[Record]) -> None:
+    """The records, a line each."""
+    for record in records:
+        print(dumps(record.to_dict(), allow_nan=False))
+
+
+def print_table(records: Sequence[Record], *, settings: Sequence[str] = (), said: Sequence[str] = ()) -> None:
+    """The main numbers of the records, their notes, and why any of them failed.
+
+    Args:
+        records: A line for each side of each.
+        settings: Names of settings, for a column each.
+        said: Notes that were printed before.
+    """
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    from compare.table import COLUMNS, lines, text
+
+    columns = [(k, column) for k, column in enumerate(COLUMNS) if column.brief]
+    table = Table("shape", "edit", "by", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    for name in [*settings, *(column.title for _, column in columns)]:
+        table.add_column(name, justify="right", no_wrap=True)
+    for record in records:
+        chosen = [_setting(record, name) for name in settings]
+        for shape, operation, side, _, values in lines(record):
+            table.add_row(shape, operation, side, *chosen, *(text(values[k], column) for k, column in columns))
+        table.add_section()
+    console = Console()
+    console = Console(width=max(console.width, console.measure(table).maximum)) if settings else console
+    console.print(table)
+    for sentence in dict.fromkeys(note for record in records for note in record.notes if note not in said):
+        console.print(sentence, markup=False)
+    for record in records:
+        if record.failed:
+            console.print(f"{record.case.name}, {record.case.operation}: {record.status}", markup=False)
+
+
+def _setting(record: Record, name: str) -> str:
+    from compare.plan import setting_of
+
+    value = setting_of(record.case, name)
+    return "" if value is None else str(value)

@@ -1,0 +1,123 @@
+"""implicit-vs-mesh study: a grid of edits over shapes, operations and settings, to be broken off at any moment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import timedelta
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from compare import study as studies
+from compare.case import Case
+from compare.commands import exits
+from compare.commands.checks import require_folder_for
+from compare.commands.shown import add_task, advance, print_json, print_table, progress_bars, speaker, teller
+from compare.executors import executor_of
+from compare.records import Record
+from compare.study_folder import STUDY_FILE, Begun, run_study
+from compare.subject import InputError
+
+
+@dataclass
+class Study:
+    """Run a study, or what is missing of it: a grid over shapes, operations and settings, with a table and a chart."""
+
+    name: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="NAME|FILE|FOLDER")]] = ""
+    """A built-in study (see --list), a file of your own (docs/studies.md), or a study folder to go on with."""
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="FOLDER")] = None
+    """Study folder; by default results/ and the name. If it holds this study, only what is missing is done."""
+    shapes: Annotated[tuple[str, ...], tyro.conf.arg(metavar="SHAPE ...")] = ()
+    """In place of the study's own: bundled shapes, meshes or fields."""
+    workers: Annotated[int, tyro.conf.arg(metavar="N")] = 0
+    """Processes to run in, one thread each; 0 runs in this one."""
+    dask: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
+    """A dask scheduler to run on, such as tcp://host:8786, whose workers see the same files."""
+    no_meshes: bool = False
+    """Do not keep the edited shapes, which report.html shows: for large grids."""
+    quick: bool = False
+    """A smaller grid, coarser: to see that it works, not for figures."""
+    list: bool = False
+    """Print the names of the built-in studies and what they show."""
+    json: bool = False
+    """Print the records as JSON, a line each, in place of the table."""
+    quiet: bool = False
+    """Print nothing but errors, and the records with --json."""
+
+
+def study(command: Study) -> int:
+    """Check everything, do what is missing, and say what came of it."""
+    if command.list:
+        return _list(command.json)
+    chosen, folder = _chosen(command)
+    say = speaker(command.quiet, to_stderr=True)
+    kept = 0
+
+    with progress_bars(command.quiet) as bars, executor_of(command.workers, command.dask) as executor:
+        total: Any = None
+        current = add_task(bars, "", None) if executor is None else None
+
+        def on_plan(cases: list[Case], there: int) -> None:
+            nonlocal kept, total
+            kept, total = there, add_task(bars, chosen.name, len(cases), there)
+
+        def on_record(record: Record) -> None:
+            nonlocal kept
+            kept += 1
+            advance(bars, total)
+            if bars is not None and not bars.console.is_terminal:  # a log, in which bars do not move
+                task = bars.tasks[total]
+                say(_line(record, kept, task.total, task.time_remaining))
+
+        try:
+            tell = teller(bars, current)
+            records = run_study(chosen, folder, executor, on_plan=on_plan, on_record=on_record, progress=tell)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(
+                f"{kept} cases are done and kept; the same command goes on with the rest."
+            ) from None
+    if command.json:
+        print_json(records)
+    elif not command.quiet:
+        print_table(records, settings=chosen.varied)
+        print(f"{folder}: table.csv, the curves in chart.png and chart.pdf, and what they are from.")
+    return exits.FAILED if any(record.failed for record in records) else exits.DONE
+
+
+def _chosen(command: Study) -> tuple[studies.Study, Path]:
+    """The study that is meant, and its folder."""
+    if not command.name:
+        raise InputError(f"Name a study: {', '.join(studies.built_in())}, or a file ending in .toml.")
+    if (Path(command.name) / STUDY_FILE).is_file():
+        if command.shapes or command.quick or command.no_meshes or command.output:
+            raise InputError(f"{command.name} holds a study with its own settings. Leave the options for it out.")
+        return Begun.read(Path(command.name)).study, Path(command.name)
+    chosen = studies.find_study(command.name, quick=command.quick, shapes=command.shapes)
+    if command.no_meshes:
+        chosen = replace(chosen, keep_meshes=False)
+    folder = command.output or Path("results") / (chosen.name + ("-quick" if command.quick else ""))
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"The output {folder} is a file, but a study is written to a folder. Name another.")
+    require_folder_for(folder)
+    return chosen, folder
+
+
+def _list(as_json: bool) -> int:
+    rows = {name: study.title for name, study in studies.built_in().items()}
+    if as_json:
+        import json
+
+        print(json.dumps(rows))
+    else:
+        width = max(map(len, rows))
+        for name, title in rows.items():
+            print(f"{name:{width}}  {title}")
+    return exits.DONE
+
+
+def _line(record: Record, done: int, total: float | None, seconds_left: float | None) -> str:
+    """A case that has ended, for a log."""
+    what = f"{done} of {total:.0f}: {record.case.name}, {record.case.operation}"
+    left = "" if seconds_left is None else f"; about {timedelta(seconds=round(seconds_left))} left"
+    return f"{what}{'. ' + record.status if record.failed else left}"

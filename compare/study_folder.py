@@ -1,0 +1,182 @@
+"""A study in a folder: begun once, gone on with as often as needed, and summed up when it ends.
+
+study.json     the study's own copy of its settings, the hashes of its shapes, and its cases
+results.jsonl  a row for each case that has been run
+table.csv      the numbers, a line for each case and method
+chart.png/pdf  its curves
+report.html    everything in 3D, with fields/ and meshes/, where they are kept
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from compare.case import Case, content_of
+from compare.lock import lock
+from compare.records import FILE, Record, latest, replace_file
+from compare.study import Study, find_study
+from compare.subject import InputError, Progress, check_shape
+
+SCHEMA = 1
+STUDY_FILE = "study.json"
+
+
+@dataclass(frozen=True)
+class Begun:
+    """A study that a folder holds."""
+
+    study: Study
+    cases: list[Case]
+    inputs: dict[str, str]  # of each shape that is a file, the hash of its content when the study was begun
+
+    def write(self, folder: Path) -> None:
+        """Keep it, in one move."""
+        row = {
+            "schema": SCHEMA,
+            "study": self.study.to_dict(),
+            "inputs": self.inputs,
+            "cases": [case.to_dict() for case in self.cases],
+        }
+        replace_file(folder / STUDY_FILE, (json.dumps(row, indent=1, allow_nan=False) + "\n").encode())
+
+    @classmethod
+    def read(cls, folder: Path) -> Begun:
+        """What `write` kept.
+
+        Raises:
+            InputError: The file is not what a study writes.
+        """
+        path = folder / STUDY_FILE
+        try:
+            row = json.loads(path.read_text(encoding="utf-8"))
+            if row["schema"] != SCHEMA:
+                raise ValueError(f"it is of schema {row['schema']}, but this version reads {SCHEMA}")
+            return cls(Study.from_dict(row["study"]), [Case.from_dict(case) for case in row["cases"]], row["inputs"])
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise InputError(f"{path} cannot be read: {error!r}. Begin the study in another folder.") from error
+
+
+def run_study(
+    study: Study | str,
+    folder: str | PathLike[str],
+    executor: Executor | None = None,
+    *,
+    on_plan: Callable[[list[Case], int], None] | None = None,
+    on_record: Callable[[Record], None] | None = None,
+    progress: Progress | None = None,
+) -> list[Record]:
+    """Do what is missing of a study in a folder, and sum it up.
+
+    Args:
+        study: A study, or what find_study takes: the name of a built-in one, or of a TOML file.
+        folder: Of the study; made, or gone on with if it holds this very study.
+        executor: As for run_cases.
+        on_plan: Told of the cases, and of how many are done already, before the first is run.
+        on_record: Called with each record as it comes.
+        progress: As for run_case; told only of what runs here.
+
+    Returns:
+        The records of all cases, in the order of the study.
+
+    Raises:
+        InputError: The study makes no sense, a shape cannot be used or has changed, or the folder holds something
+            else or is in use.
+    """
+    study = find_study(study) if isinstance(study, str) else study
+    folder = Path(folder)
+    require_folder_of(study, folder)
+    for shape in study.shapes:
+        check_shape(shape)
+    folder.mkdir(parents=True, exist_ok=True)
+    with lock(folder):
+        begun = _begin(study, folder)
+        if on_plan is not None:
+            on_plan(begun.cases, len(_done(folder, begun.cases)))
+
+        from compare.run import run_cases
+
+        records = run_cases(
+            begun.cases,
+            executor,
+            folder=folder,
+            keep_meshes=study.keep_meshes,
+            progress=progress,
+            on_record=on_record,
+        )
+        sum_up(study, records, folder)
+    return records
+
+
+def require_folder_of(study: Study, folder: Path) -> None:
+    """Refuse a folder that holds something else than this study.
+
+    Raises:
+        InputError: It does; the message says what differs.
+    """
+    if (folder / STUDY_FILE).is_file():
+        before, now = (_flat(one.to_dict()) for one in (Begun.read(folder).study, study))
+        if before != now:
+            name = next(key for key in {**before, **now} if before.get(key) != now.get(key))
+            raise InputError(
+                f"The folder {folder} holds another study: {name} was {before.get(name)!r}, and is {now.get(name)!r} "
+                "now. Name another folder."
+            )
+    elif folder.is_dir() and any(folder.iterdir()):
+        raise InputError(f"The folder {folder} is not empty and holds no study. Name another or an empty one.")
+
+
+def sum_up(study: Study, records: list[Record], folder: Path) -> None:
+    """Write the table, the chart, and the report if there is anything to show in 3D."""
+    from compare.curves import draw_charts, write_table
+
+    write_table(study, records, folder / "table.csv")
+    if study.charts:
+        draw_charts(study, records, folder / "chart")
+    if any(record.artefacts for record in records):
+        from compare.report import report
+
+        report(records, folder / "report.html")
+
+
+def _begin(study: Study, folder: Path) -> Begun:
+    if (folder / STUDY_FILE).is_file():
+        begun = Begun.read(folder)
+        for shape, content in begun.inputs.items():
+            if _content(shape) != content:
+                raise InputError(
+                    f"{shape} has changed since the study in {folder} was begun. Put it back, or name another folder."
+                )
+        return begun
+
+    from compare.plan import plan
+
+    cases = plan(study, folder)
+    shapes = dict.fromkeys(case.shape for case in cases)
+    begun = Begun(study, cases, {shape: _content(shape) for shape in shapes if Path(shape).suffix})
+    begun.write(folder)
+    return begun
+
+
+def _content(shape: str) -> str:
+    try:
+        return content_of(shape)
+    except OSError:
+        return "nothing"
+
+
+def _done(folder: Path, cases: list[Case]) -> set[str]:
+    rows = latest(folder) if (folder / FILE).is_file() else []
+    return {record.key for record in rows if not record.failed} & {case.key for case in cases}
+
+
+def _flat(value: Any, name: str = "") -> dict[str, Any]:
+    """Every number and word by its dotted name, to say what differs."""
+    if isinstance(value, dict):
+        return {k: v for key, item in value.items() for k, v in _flat(item, f"{name}.{key}".lstrip(".")).items()}
+    return {name: value}
