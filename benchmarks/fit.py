@@ -5,6 +5,7 @@ import math
 import torch
 
 import implicit
+from benchmarks.common import leave_out_if_slow
 from implicit import shapes
 
 
@@ -16,7 +17,8 @@ class Fit:
     timeout = 120
 
     def setup(self, method, seconds):
-        torch.set_num_threads(1)
+        if seconds > 1:
+            leave_out_if_slow()
         shape = shapes.bracket()
         generator = torch.Generator().manual_seed(0)
         surface = implicit.sample_surface(shape, 40_000).points
