@@ -3,7 +3,7 @@
 import torch
 
 import implicit
-from benchmarks.common import DEVICES, require
+from benchmarks.common import DEVICES, require, sizes
 from implicit.sensitivity import basis, parameter_gradient_and_slope
 
 ROOM = 2**30  # bytes that B may take here
@@ -12,7 +12,7 @@ ROOM = 2**30  # bytes that B may take here
 class Basis:
     """At random points, in the network of the paper (width 32, P = 2273) and in one of 18,817 parameters."""
 
-    params = ([1000, 10000], [32, 96], ["float32", "float64"], DEVICES)
+    params = sizes([1000, 10000], [32, 96], ["float32", "float64"], DEVICES)
     param_names = ("points", "width", "dtype", "device")
 
     def setup(self, points, width, dtype, device):

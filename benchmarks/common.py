@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from unittest import mock
@@ -19,8 +19,13 @@ DEVICES = ("cpu", "cuda")
 VERTICES = (3_500, 35_000, 140_000)
 
 
+def sizes(*lists: Sequence[object]) -> tuple[list[object], ...]:
+    """The values of the parameters of a benchmark; with BENCHMARKS_QUICK set, the first of each alone."""
+    return tuple(list(values[:1] if is_quick() else values) for values in lists)
+
+
 def leave_out_if_slow() -> None:
-    """For the setup of what takes long: with BENCHMARKS_QUICK set, asv skips it."""
+    """For the setup of what takes long at any size: with BENCHMARKS_QUICK set, asv skips it."""
     if is_quick():
         raise NotImplementedError("BENCHMARKS_QUICK is set")
 

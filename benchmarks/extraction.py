@@ -4,18 +4,16 @@ import numpy as np
 import torch
 
 import implicit
-from benchmarks.common import DEVICES, evaluations, leave_out_if_slow, spot
+from benchmarks.common import DEVICES, evaluations, sizes, spot
 
 
 class Extraction:
     """Coarse to fine, and what of the grid is evaluated."""
 
-    params = ([64, 128, 256], ["float32", "float64"], DEVICES)
+    params = sizes([64, 128, 256], ["float32", "float64"], DEVICES)
     param_names = ("resolution", "dtype", "device")
 
     def setup(self, resolution, dtype, device):
-        if resolution > 128:
-            leave_out_if_slow()
         self.field = spot(dtype, device)
 
     def time_extract(self, resolution, dtype, device):

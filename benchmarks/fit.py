@@ -5,20 +5,18 @@ import math
 import torch
 
 import implicit
-from benchmarks.common import leave_out_if_slow
+from benchmarks.common import sizes
 from implicit import shapes
 
 
 class Fit:
     """The bracket, a shape with edges and three holes, in the paper's network."""
 
-    params = (["soap", "adam"], [1, 4, 16])
+    params = sizes(["soap", "adam"], [1, 4, 16])
     param_names = ("method", "seconds")
     timeout = 120
 
     def setup(self, method, seconds):
-        if seconds > 1:
-            leave_out_if_slow()
         shape = shapes.bracket()
         generator = torch.Generator().manual_seed(0)
         surface = implicit.sample_surface(shape, 40_000).points

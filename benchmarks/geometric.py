@@ -3,19 +3,17 @@
 import torch
 
 import implicit
-from benchmarks.common import DEVICES, evaluations, leave_out_if_slow, spot
+from benchmarks.common import DEVICES, evaluations, leave_out_if_slow, sizes, spot
 
 
 class Geometric:
     """The head raised by a tenth of the box, the rest fixed."""
 
-    params = ([1, 4, 16], [1000, 4000], ["float32", "float64"], DEVICES)
+    params = sizes([1, 4, 16], [1000, 4000], ["float32", "float64"], DEVICES)
     param_names = ("parts", "points", "dtype", "device")
     timeout = 300
 
     def setup(self, parts, points, dtype, device):
-        if parts * points > 10_000:
-            leave_out_if_slow()
         self.field = spot(dtype, device)
         self.bump = implicit.Handle(implicit.HalfSpace((0, 0.35, 0), (0, 1, 0), falloff=0.3), (0.0, 0.16, 0.0))
 

@@ -1,13 +1,13 @@
 """As-rigid-as-possible deformation of a mesh."""
 
 import meshref
-from benchmarks.common import VERTICES, leave_out_if_slow, pull, spot_meshes
+from benchmarks.common import VERTICES, pull, sizes, spot_meshes
 
 
 class Arap:
     """The head of the cow pulled aside, its feet held."""
 
-    params = VERTICES
+    params = sizes(VERTICES)
     param_names = ("vertices",)
     timeout = 600
 
@@ -15,8 +15,6 @@ class Arap:
         return spot_meshes()
 
     def setup(self, meshes, vertices):
-        if vertices > VERTICES[0]:
-            leave_out_if_slow()
         self.V, self.F = meshes[vertices]
         self.handles, wanted = pull(self.V)
         self.targets = self.V[self.handles] + wanted

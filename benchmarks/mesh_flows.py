@@ -1,7 +1,7 @@
 """Mean-curvature flows of meshes, with and without the volume kept."""
 
 import meshref
-from benchmarks.common import VERTICES, leave_out_if_slow, spot_meshes
+from benchmarks.common import VERTICES, sizes, spot_meshes
 
 STEPS = 5
 
@@ -9,7 +9,7 @@ STEPS = 5
 class Flow:
     """A few steps of the cow by each method."""
 
-    params = (["conformalised", "semi-implicit"], VERTICES, ["free", "rescale", "newton"])
+    params = sizes(["conformalised", "semi-implicit"], VERTICES, ["free", "rescale", "newton"])
     param_names = ("method", "vertices", "volume")
     timeout = 300
 
@@ -17,8 +17,6 @@ class Flow:
         return spot_meshes()
 
     def setup(self, meshes, method, vertices, volume):
-        if vertices > VERTICES[0]:
-            leave_out_if_slow()
         self.V, self.F = meshes[vertices]
         self.size = 1e-4 * meshref.area(self.V, self.F)
 

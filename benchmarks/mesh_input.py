@@ -4,21 +4,19 @@ import tempfile
 from pathlib import Path
 
 import meshref
-from benchmarks.common import VERTICES, leave_out_if_slow, spot_meshes
+from benchmarks.common import VERTICES, sizes, spot_meshes
 
 
 class Input:
     """Files of each kind, and the check before every solve."""
 
-    params = (VERTICES, ["obj", "off", "ply", "stl"])
+    params = sizes(VERTICES, ["obj", "off", "ply", "stl"])
     param_names = ("vertices", "suffix")
 
     def setup_cache(self):
         return spot_meshes()
 
     def setup(self, meshes, vertices, suffix):
-        if vertices > VERTICES[0]:
-            leave_out_if_slow()
         self.V, self.F = meshes[vertices]
         self.folder = tempfile.TemporaryDirectory()
         self.path = Path(self.folder.name) / f"mesh.{suffix}"
@@ -43,15 +41,13 @@ class Input:
 class Check:
     """The check of every public function that takes a mesh."""
 
-    params = VERTICES
+    params = sizes(VERTICES)
     param_names = ("vertices",)
 
     def setup_cache(self):
         return spot_meshes()
 
     def setup(self, meshes, vertices):
-        if vertices > VERTICES[0]:
-            leave_out_if_slow()
         self.V, self.F = meshes[vertices]
 
     def time_check(self, meshes, vertices):

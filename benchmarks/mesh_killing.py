@@ -3,13 +3,13 @@
 import numpy as np
 
 import meshref
-from benchmarks.common import VERTICES, leave_out_if_slow, pull, spot_meshes
+from benchmarks.common import VERTICES, pull, sizes, spot_meshes
 
 
 class Killing:
     """The head of the cow pulled aside, its feet held."""
 
-    params = (VERTICES, ["spokes-and-rims", "membrane"], ["hard", "soft"])
+    params = sizes(VERTICES, ["spokes-and-rims", "membrane"], ["hard", "soft"])
     param_names = ("vertices", "form", "method")
     timeout = 600
 
@@ -17,8 +17,6 @@ class Killing:
         return spot_meshes()
 
     def setup(self, meshes, vertices, form, method):
-        if vertices > VERTICES[0]:
-            leave_out_if_slow()
         self.V, self.F = meshes[vertices]
         self.handles, self.wanted = pull(self.V)
 
@@ -51,15 +49,13 @@ class Killing:
 class Again:
     """Further displacements of the same handles, the factor at hand."""
 
-    params = VERTICES
+    params = sizes(VERTICES)
     param_names = ("vertices",)
 
     def setup_cache(self):
         return spot_meshes()
 
     def setup(self, meshes, vertices):
-        if vertices > VERTICES[0]:
-            leave_out_if_slow()
         V, F = meshes[vertices]
         handles, self.wanted = pull(V)
         self.solver = meshref.KillingSolver(V, F, handles)

@@ -3,7 +3,7 @@
 import math
 
 import implicit
-from benchmarks.common import evaluations, spot
+from benchmarks.common import evaluations, sizes, spot
 from implicit import shapes
 
 RADII = 0.7, 0.25
@@ -14,7 +14,7 @@ VOLUME = 2 * math.pi**2 * RADII[0] * RADII[1] ** 2
 class Quadrature:
     """Area and volume of a torus."""
 
-    params = (24, 48, 96)
+    params = sizes([24, 48, 96])
     param_names = ("resolution",)
 
     def setup(self, resolution):
@@ -46,7 +46,7 @@ class Quadrature:
 class Samples:
     """Points on a network's surface by each method."""
 
-    params = (["stratified", "uniform", "farthest", "rejection"], [1000, 10000])
+    params = sizes(["stratified", "uniform", "farthest", "rejection"], [1000, 10000])
     param_names = ("method", "points")
 
     def setup(self, method, points):

@@ -13,7 +13,7 @@ import torch
 
 import implicit
 import meshref
-from benchmarks.common import leave_out_if_slow, spot
+from benchmarks.common import leave_out_if_slow, sizes, spot
 from compare.case import Case, HandleSpec, default_cases
 from compare.operations import wanted_motion
 from compare.subject import prepare_subject
@@ -83,13 +83,11 @@ class Scene:
 class RigidStep:
     """One step from few points to many."""
 
-    params = (["spot", "cactus"], [500, 1000, 2000])
+    params = sizes(["spot", "cactus"], [500, 1000, 2000])
     param_names = ("shape", "points")
     timeout = 600
 
     def setup(self, shape, points):
-        if points > 500:
-            leave_out_if_slow()
         self.scene = Scene(shape)
 
     def time_step(self, shape, points):
@@ -116,7 +114,7 @@ class RigidStep:
 class Slides:
     """The motion along the surface that follows from a given normal one."""
 
-    params = ("constant normals", "near-isometric")
+    params = sizes(["constant normals", "near-isometric"])
     param_names = ("slide",)
 
     def setup(self, slide):

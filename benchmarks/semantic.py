@@ -5,7 +5,7 @@ import time
 import torch
 
 import implicit
-from benchmarks.common import is_quick
+from benchmarks.common import is_quick, sizes
 from implicit import families
 from implicit.extraction import newton_to_surface
 from implicit.models import DeepSdf, DualSdf, ImNet
@@ -17,7 +17,7 @@ POINTS = 100
 class Step:
     """100 points on a level set of a network of published size, its weights random, its slope made one."""
 
-    params = (list(MODELS),)
+    params = sizes(list(MODELS))
     param_names = ("architecture",)
     timeout = 300
 
@@ -90,7 +90,7 @@ def median_seconds(call):
 class Edits:
     """The top of a bundled chair's leg pushed up; accuracy beside time."""
 
-    params = (["deepsdf-chairs", "dualsdf-chairs", "imnet-chairs"],)
+    params = sizes(["deepsdf-chairs", "dualsdf-chairs", "imnet-chairs"])
     param_names = ("model",)
     timeout = 300
 

@@ -1,13 +1,13 @@
 """Smoothing of a bundled field: seconds of its steps, and how well what is held is held."""
 
 import implicit
-from benchmarks.common import evaluations, spot
+from benchmarks.common import evaluations, sizes, spot
 
 
 class Smoothing:
     """A few steps by each method, with and without the volume held."""
 
-    params = (["implicit", "explicit"], ["free", "held"])
+    params = sizes(["implicit", "explicit"], ["free", "held"])
     param_names = ("method", "volume")
     timeout = 300
 

@@ -3,7 +3,7 @@
 import torch
 
 import implicit
-from benchmarks.common import DEVICES, spot
+from benchmarks.common import DEVICES, sizes, spot
 from implicit.sensitivity import basis
 from implicit.solve import LeastSquares, Rows
 
@@ -13,7 +13,7 @@ METHODS = ("primal", "dual", "qr", "cg")
 class Solvers:
     """A real system of 3000 rows and 2273 unknowns, with the volume held."""
 
-    params = (METHODS, ["float32", "float64"], DEVICES)
+    params = sizes(METHODS, ["float32", "float64"], DEVICES)
     param_names = ("method", "dtype", "device")
 
     def setup(self, method, dtype, device):

@@ -33,8 +33,7 @@ def test_every_benchmark_runs_on_its_first_parameters(benchmarks, name):
     assert methods
     ready = {}
     for c in {c for c, _ in methods}:
-        lists = [p if isinstance(p, (list, tuple)) else c.params for p in getattr(c, "params", ())]
-        given = tuple(values[0] for values in lists[: len(getattr(c, "param_names", ()))])
+        given = tuple(values[0] for values in getattr(c, "params", ()))
         benchmark = c()
         if hasattr(benchmark, "setup_cache"):
             given = (benchmark.setup_cache(), *given)
