@@ -310,7 +310,12 @@ class _Steepest:
         # The nearest node is half a step away at most; the cube ends so far beyond it, in the cell up to the next node.
         around = min(self.nodes - 1, 1 + int(reach / float(self._step.min()) + 0.5 + 1e-6))
         if around not in self._bounds:
-            pooled = torch.nn.functional.max_pool3d(self._lengths, 2 * around + 1, stride=1, padding=around)
+            pooled = self._lengths
+            for axis in range(3):  # one after the other, for a cube of many nodes has few along each axis
+                width, margin = (
+                    [n if k == axis else m for k in range(3)] for n, m in ((2 * around + 1, 1), (around, 0))
+                )
+                pooled = torch.nn.functional.max_pool3d(pooled, width, stride=1, padding=margin)
             self._bounds[around] = pooled.view(-1)
         index = ((points - self._lower) / self._step).round().long().clamp(0, self.nodes - 1)
         return self._bounds[around][(index * self._strides).sum(dim=1)]
