@@ -36,7 +36,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     rows = f"of {', '.join(ROWS)}; all but {' and '.join(sorted(BY_NAME_ONLY))} if none is named"
     parser.add_argument("rows", nargs="*", metavar="ROW", help=rows)
-    chosen = parser.parse_args().rows or [name for name in ROWS if name not in BY_NAME_ONLY]
+    cpu = "time by the processor's seconds of this process, for a machine with other work; give it OMP_NUM_THREADS=1"
+    parser.add_argument("--cpu", action="store_true", help=cpu)
+    given = parser.parse_args()
+    if given.cpu:
+        import_module("rows.table").clock = time.process_time
+    chosen = given.rows or [name for name in ROWS if name not in BY_NAME_ONLY]
     if unknown := set(chosen) - set(ROWS):
         parser.error(f"there is no row {', '.join(sorted(unknown))}; there are {', '.join(ROWS)}")
     start = time.perf_counter()

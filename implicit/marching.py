@@ -312,10 +312,8 @@ class _Steepest:
         if around not in self._bounds:
             pooled = self._lengths
             for axis in range(3):  # one after the other, for a cube of many nodes has few along each axis
-                width, margin = (
-                    [n if k == axis else m for k in range(3)] for n, m in ((2 * around + 1, 1), (around, 0))
-                )
-                pooled = torch.nn.functional.max_pool3d(pooled, width, stride=1, padding=margin)
+                margin = [around if k == axis else 0 for k in range(3)]
+                pooled = torch.nn.functional.max_pool3d(pooled, [2 * m + 1 for m in margin], stride=1, padding=margin)
             self._bounds[around] = pooled.view(-1)
         index = ((points - self._lower) / self._step).round().long().clamp(0, self.nodes - 1)
         return self._bounds[around][(index * self._strides).sum(dim=1)]

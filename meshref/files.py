@@ -176,7 +176,7 @@ def _read_obj(content: bytes) -> tuple[FloatArray, IntArray]:
 
 
 def _read_plain_obj(content: bytes) -> tuple[FloatArray, IntArray] | None:
-    """The usual file, of triangles counted from 1 with nothing said at their corners, in a fifth of the time; else None.
+    """The usual file, of triangles counted from 1 with no more at their corners, in a fifth of the time; else None.
 
     Whatever is out of the ordinary, damage included, is left to the reader that goes line by line.
     """

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 
 import numpy as np
 import torch
-from rows.table import row
+from rows import table
+from rows.table import best, row
 
 import implicit
 import meshref
@@ -29,7 +29,7 @@ def by_iarap(shape: str = "spot", seconds: float = 120.0) -> None:
     (case,) = default_cases(shape, subject.V, subject.N, operations=("rigid",))
     wanted = wanted_motion(case, subject)
     edit_field(case, subject)  # imports
-    ours = edit_field(case, subject)
+    ((ours_s, ours),) = best(lambda: edit_field(case, subject), repeats=1)
     V, F = subject.V, subject.F
 
     def judged(D: np.ndarray) -> tuple[float, float]:
@@ -41,7 +41,7 @@ def by_iarap(shape: str = "spot", seconds: float = 120.0) -> None:
     words = f"ARAP energy {energy:.4f}, handles missed by {100 * missed:.2g} %; theirs {reached[0]:.4f}, "
     words += f"{100 * reached[1]:.2g} %"
     limit = "" if reached[0] <= energy else ", not there when stopped, so at least"
-    row(f"rigid pull: a network trained with `iarap`{limit}", spent, ours.seconds, words, ours.complete)
+    row(f"rigid pull: a network trained with `iarap`{limit}", spent, ours_s, words, ours.complete)
 
 
 class Sines(torch.nn.Module):
@@ -91,7 +91,7 @@ def trained_by(
     slower = torch.optim.lr_scheduler.ExponentialLR(optimiser, 0.1 ** (1 / 1500))
     spent, step, found = 0.0, 0, (math.inf, math.inf)
     while spent < seconds:
-        start = time.perf_counter()
+        start = table.clock()
         x = sample[torch.randint(len(sample), (points,))]
         loss = arap_energy(space, x, 1e-4)
         for handle, inside in held:
@@ -101,7 +101,7 @@ def trained_by(
         loss.backward()
         optimiser.step()
         slower.step()
-        spent += time.perf_counter() - start
+        spent += table.clock() - start
         step += 1
         if step % 20 == 0:
             with torch.no_grad():

@@ -208,10 +208,10 @@ def test_read_order_is_that_of_the_file(real_mesh):
 
 def test_a_plain_obj_reads_as_one_with_more_at_its_corners(tmp_path):
     """The quick way through plain files and the one line by line give the same bits."""
-    V, F = meshref.torus(0.7, 0.25, 24, 12)
+    V, F = torus(24, 12, 0.7, 0.25)
     plain, full = tmp_path / "plain.obj", tmp_path / "full.obj"
-    meshref.write_mesh(plain, V, F)
+    write_mesh(plain, V, F)
     full.write_text(re.sub(r"^f (\d+) (\d+) (\d+)", r"f \1/1 \2//2 \3/3/3", plain.read_text(), flags=re.M))
     assert "//" in full.read_text()
-    for wanted, found in zip(meshref.read_mesh(plain), meshref.read_mesh(full)):
+    for wanted, found in zip(read_mesh(plain), read_mesh(full)):
         np.testing.assert_array_equal(wanted, found)
