@@ -28,13 +28,14 @@ ROWS = {
     "floor": ("floor", "floor"),
     "scaling": ("scaling", "scaling"),
     "memory": ("scaling", "memory_of_a_large_decoder"),
+    "phases": ("phases", "phases"),
 }
-BY_NAME_ONLY = {"scaling", "memory"}  # with nothing beside them
+BY_NAME_ONLY = {"scaling", "memory", "phases"}  # with nothing beside them
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    rows = f"of {', '.join(ROWS)}; all but {' and '.join(sorted(BY_NAME_ONLY))} if none is named"
+    rows = f"of {', '.join(ROWS)}; all but {', '.join(sorted(BY_NAME_ONLY))} if none is named"
     parser.add_argument("rows", nargs="*", metavar="ROW", help=rows)
     cpu = "time by the processor's seconds of this process, for a machine with other work; give it OMP_NUM_THREADS=1"
     parser.add_argument("--cpu", action="store_true", help=cpu)

@@ -14,7 +14,7 @@ import implicit
 import meshref
 
 
-def by_iarap(shape: str = "spot", seconds: float = 120.0) -> None:
+def by_iarap(shape: str = "spot", seconds: float = 60.0) -> None:
     """A rigid pull by a network that `iarap` trains, until its ARAP energy on the common mesh is no larger than ours.
 
     The package gives the energy of a map of space, at points of the surface; the network, its training and the penalty
