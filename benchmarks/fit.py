@@ -5,18 +5,18 @@ import math
 import torch
 
 import implicit
+from benchmarks.common import sizes
 from implicit import shapes
 
 
 class Fit:
     """The bracket, a shape with edges and three holes, in the paper's network."""
 
-    params = (["soap", "adam"], [1, 4, 16])
+    params = sizes(["soap", "adam"], [1, 4, 16])
     param_names = ("method", "seconds")
     timeout = 120
 
     def setup(self, method, seconds):
-        torch.set_num_threads(1)
         shape = shapes.bracket()
         generator = torch.Generator().manual_seed(0)
         surface = implicit.sample_surface(shape, 40_000).points

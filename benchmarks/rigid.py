@@ -1,26 +1,22 @@
 """Rigid steps of bundled fields: seconds, memory, and the strain beside the mesh's least squares.
 
-`python benchmarks/rigid.py` prints the tables of docs/rigid.md.
+`python -m benchmarks.rigid` prints the tables of docs/rigid.md.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
 import time
-
-# Idle OpenMP threads that spin steal the core from whatever else runs; this must stand before torch is imported.
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import numpy as np
 import torch
 
 import implicit
 import meshref
+from benchmarks.common import leave_out_if_slow, sizes, spot
 from compare.case import Case, HandleSpec, default_cases
 from compare.operations import wanted_motion
 from compare.subject import prepare_subject
-from implicit import shapes
 from implicit.tangential_network import TrainedStep, trained_rigid_step
 
 # Motions are scaled by this: one step is linear, and its strain is compared with that of a linear solve.
@@ -34,7 +30,6 @@ class Scene:
     """The handles of the comparison on a bundled shape, and its common mesh of about 4000 vertices."""
 
     def __init__(self, name: str) -> None:
-        torch.set_num_threads(1)
         self.subject = prepare_subject(Case(name, "smooth"))
         (case,) = default_cases(name, self.subject.V, self.subject.N, operations=("rigid",))
         self.wanted = wanted_motion(case, self.subject)
@@ -88,7 +83,7 @@ class Scene:
 class RigidStep:
     """One step from few points to many."""
 
-    params = (["spot", "cactus"], [500, 1000, 2000])
+    params = sizes(["spot", "cactus"], [500, 1000, 2000])
     param_names = ("shape", "points")
     timeout = 600
 
@@ -119,12 +114,11 @@ class RigidStep:
 class Slides:
     """The motion along the surface that follows from a given normal one."""
 
-    params = ("constant normals", "near-isometric")
+    params = sizes(["constant normals", "near-isometric"])
     param_names = ("slide",)
 
     def setup(self, slide):
-        torch.set_num_threads(1)
-        self.field = shapes.bundled("spot").to(torch.float64)
+        self.field = spot("float64")
         self.points = implicit.sample_surface(self.field, 1000, "farthest").points
         generator = torch.Generator().manual_seed(0)
         self.d_theta = 1e-3 * torch.randn(len(self.field.theta), generator=generator, dtype=torch.float64)
@@ -140,6 +134,7 @@ class TrainedNetwork:
     timeout = 600
 
     def setup(self):
+        leave_out_if_slow()
         self.scene = Scene("spot")
 
     def time_training(self):

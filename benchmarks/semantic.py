@@ -5,6 +5,7 @@ import time
 import torch
 
 import implicit
+from benchmarks.common import is_quick, sizes
 from implicit import families
 from implicit.extraction import newton_to_surface
 from implicit.models import DeepSdf, DualSdf, ImNet
@@ -16,12 +17,11 @@ POINTS = 100
 class Step:
     """100 points on a level set of a network of published size, its weights random, its slope made one."""
 
-    params = (list(MODELS),)
+    params = sizes(list(MODELS))
     param_names = ("architecture",)
     timeout = 300
 
     def setup(self, architecture):
-        torch.set_num_threads(1)
         torch.manual_seed(0)
         self.decoder = MODELS[architecture]().eval().requires_grad_(False)
         self.code = 0.5 * torch.randn(self.decoder.latent)
@@ -78,24 +78,23 @@ class Step:
     track_step_over_pass.unit = "passes"
 
 
-def median_seconds(call, repeat=7):
+def median_seconds(call):
     seconds = []
-    for _ in range(repeat):
+    for _ in range(1 if is_quick() else 7):
         start = time.process_time()
         call()
         seconds.append(time.process_time() - start)
-    return sorted(seconds)[repeat // 2]
+    return sorted(seconds)[len(seconds) // 2]
 
 
 class Edits:
     """The top of a bundled chair's leg pushed up; accuracy beside time."""
 
-    params = (["deepsdf-chairs", "dualsdf-chairs", "imnet-chairs"],)
+    params = sizes(["deepsdf-chairs", "dualsdf-chairs", "imnet-chairs"])
     param_names = ("model",)
     timeout = 300
 
     def setup(self, name):
-        torch.set_num_threads(1)
         model = families.bundled(name)
         self.field = model.field(model.latents[0])
         feet = implicit.HalfSpace((0, -0.45 * model.scale, 0), (0, -1, 0))

@@ -1,21 +1,18 @@
 """Smoothing of a bundled field: seconds of its steps, and how well what is held is held."""
 
-import torch
-
 import implicit
-from implicit import shapes
+from benchmarks.common import evaluations, sizes, spot
 
 
 class Smoothing:
     """A few steps by each method, with and without the volume held."""
 
-    params = (["implicit", "explicit"], ["free", "held"])
+    params = sizes(["implicit", "explicit"], ["free", "held"])
     param_names = ("method", "volume")
     timeout = 300
 
     def setup(self, method, volume):
-        torch.set_num_threads(1)
-        self.field = shapes.bundled("spot")
+        self.field = spot()
         self.constraints = (implicit.Volume(),) if volume == "held" else ()
 
     def smoothed(self, method, steps=3):
@@ -29,8 +26,14 @@ class Smoothing:
         before, after = (implicit.integrate(f, implicit.Volume(), 128).value for f in (self.field, edit.field))
         return abs(after / before - 1)
 
+    def track_evaluations(self, method, volume):
+        with evaluations() as counts:
+            self.smoothed(method)
+        return sum(counts)
+
     def track_most_pieces(self, method, volume):
         return max(row["components"] for row in self.smoothed(method, steps=10).history)
 
     track_volume_change.unit = "relative"
+    track_evaluations.unit = "points"
     track_most_pieces.unit = "pieces"

@@ -2,8 +2,9 @@
 
 The grid is cut into chunks of 32 cells, these into blocks of 8, of 4 and of 2. A block is left
 out where |f| at its middle exceeds its half diagonal times a bound on |df/dx|: the largest gradient seen near by on a
-coarse grid, with a safety factor. What is left out has the sign of its middle. Only the nodes of the last blocks are
-evaluated, each once, so that neighbouring chunks agree on them to the bit and their triangles fit.
+coarse grid, with a safety factor. What is left out has the sign of its middle. Of the nodes of the last blocks, those
+that no middle speaks for are evaluated, each once, so that neighbouring chunks agree on them to the bit and their
+triangles fit.
 
 Single precision is all that marching cubes work in; the vertices find the surface afterwards in the field's own.
 """
@@ -12,11 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Int8
 from numpy.typing import NDArray
 from skimage.measure import find_contours, marching_cubes
 from torch import Tensor
@@ -30,9 +31,9 @@ CHUNK_CELLS = LEVELS[0]
 # The factor by which the largest gradient seen near by is raised to bound those in between.
 GRADIENT_SAFETY = 1.5
 
-# Bytes for the grid of an extraction unless the caller says otherwise: a resolution of about 930 in a cube.
+# Bytes for the grid of an extraction unless the caller says otherwise: a resolution of about 890 in a cube.
 MEMORY_LIMIT = 4 * 2**30
-BYTES_A_NODE = 5  # value and mask
+BYTES_A_NODE = 6  # value, sign, and what blocks of two cells have for their eight nodes
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,15 +92,15 @@ class Chunks:
     index: Int[Tensor, "c 3"]
     blocks: Float[Tensor, "c 16 16 16"]  # in each chunk, f at the middle of the last block that holds the node
     values: Float[Tensor, "x y z"]  # of the whole grid, filled where near
-    near: Bool[Tensor, "x y z"]
+    signs: Int8[Tensor, "x y z"]  # zero where not near
 
     def __iter__(self) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float32]]]:
         """First node and values of each chunk."""
-        values, near = self.values.cpu().numpy(), self.near.cpu().numpy()
+        values, signs = self.values.cpu().numpy(), self.signs.cpu().numpy()
         for start, blocks in zip((self.index * CHUNK_CELLS).cpu().numpy(), self.blocks.cpu().numpy()):
             where = tuple(slice(first, first + CHUNK_CELLS + 1) for first in start)
-            chunk = _spread(blocks, near[where].shape)
-            np.copyto(chunk, values[where], where=near[where])
+            chunk = _spread(blocks, signs[where].shape)
+            np.copyto(chunk, values[where], where=signs[where] != 0)
             yield start, chunk
 
 
@@ -159,12 +160,17 @@ def near_surface(field: Field, grid: Grid) -> Chunks:
     steepest = _Steepest(field)
     cells = torch.tensor(grid.cells, device=field.device)
     counts = [-(-count // CHUNK_CELLS) for count in grid.cells]
-    index = torch.cartesian_prod(*[torch.arange(count, device=field.device) for count in counts])
-    values, near = _middles(field, grid, index, CHUNK_CELLS, steepest)
-    chunks = index[near]
+    blocks = _Blocks.evaluate(
+        field,
+        grid,
+        torch.cartesian_prod(*[torch.arange(count, device=field.device) for count in counts]),
+        CHUNK_CELLS,
+        steepest,
+    )
+    chunks = blocks.index[blocks.near]
     owner = torch.arange(len(chunks), device=field.device)  # the chunk of each block
-    index, values = chunks, values[near]
-    blocks = values[:, None, None, None]
+    middles = blocks.values[blocks.near][:, None, None, None]
+    index = chunks
     for coarse, fine in pairwise(LEVELS):
         ratio = coarse // fine
         offsets = torch.cartesian_prod(*[torch.arange(ratio, device=field.device)] * 3)
@@ -172,52 +178,113 @@ def near_surface(field: Field, grid: Grid) -> Chunks:
         owner = owner.repeat_interleave(ratio**3)
         within = (index * fine < cells).all(dim=1)  # the last chunks may stand out over the grid
         index, owner = index[within], owner[within]
-        values, near = _middles(field, grid, index, fine, steepest)
+        blocks = _Blocks.evaluate(field, grid, index, fine, steepest)
         for axis in (1, 2, 3):
-            blocks = blocks.repeat_interleave(ratio, dim=axis)
-        blocks = blocks.contiguous()
-        blocks[(owner, *(index % (CHUNK_CELLS // fine)).T)] = values
-        index, owner = index[near], owner[near]
-    return Chunks(chunks, blocks, *_node_values(field, grid, index * LEVELS[-1], steepest))
+            middles = middles.repeat_interleave(ratio, dim=axis)
+        middles = middles.contiguous()
+        middles[(owner, *(index % (CHUNK_CELLS // fine)).T)] = blocks.values
+        index, owner = index[blocks.near], owner[blocks.near]
+    signs = middles.flatten(1) < 0
+    crossed = signs.any(dim=1) & ~signs.all(dim=1)
+    crossed[owner] = True
+    return Chunks(chunks[crossed], middles[crossed], *_node_values(field, grid, blocks, steepest))
 
 
-def _middles(
-    field: Field, grid: Grid, index: Int[Tensor, "n 3"], side: int, steepest: _Steepest
-) -> tuple[Float[Tensor, " n"], Bool[Tensor, " n"]]:
-    """f at the middle of blocks of so many cells a side, and whether the surface may run through them."""
-    first = index * side
-    last = torch.minimum(first + side, torch.tensor(grid.cells, device=index.device))
-    middle = grid.place((first + last) / 2).float()
-    values = _finite(field.value(middle))
-    half_diagonal = 0.5 * grid.cell * (last - first).float().norm(dim=1)
-    near = values.abs() <= steepest.at(middle, reach=side * grid.cell / 2) * half_diagonal
-    at_border = ((first == 0) | (last == torch.tensor(grid.cells, device=index.device))).any(dim=1)
-    if bool((out := ~near & at_border & (values < 0)).any()):
-        raise _leaves(field, middle[out][0])
-    return values, near
+@dataclass(frozen=True, eq=False)
+class _Blocks:
+    """Blocks of so many cells a side, with f at their middles."""
+
+    index: Int[Tensor, "n 3"]  # in units of the side
+    side: int
+    values: Float[Tensor, " n"]
+    clear: Float[Tensor, " n"]  # about the middle the surface comes no nearer than this, a length
+    near: Bool[Tensor, " n"]  # whether the surface may run through the block
+
+    @classmethod
+    def evaluate(cls, field: Field, grid: Grid, index: Int[Tensor, "n 3"], side: int, steepest: _Steepest) -> _Blocks:
+        first = index * side
+        cells = torch.tensor(grid.cells, device=index.device)
+        last = torch.minimum(first + side, cells)
+        middle = grid.place((first + last) / 2).float()
+        values = _finite(field.value(middle))
+        bound = steepest.at(middle, reach=side * grid.cell / 2)
+        clear = values.abs() / bound.clamp(min=torch.finfo(bound.dtype).tiny)
+        near = clear <= 0.5 * grid.cell * (last - first).float().norm(dim=1)
+        at_border = ((first == 0) | (last == cells)).any(dim=1)
+        if bool((out := ~near & at_border & (values < 0)).any()):
+            raise _leaves(field, middle[out][0])
+        # At the border every node is looked at, for the surface must not leave there.
+        return cls(index, side, values, torch.where(near & at_border, 0.0, clear), near)
 
 
 def _node_values(
-    field: Field, grid: Grid, corners: Int[Tensor, "n 3"], steepest: _Steepest
-) -> tuple[Float[Tensor, "x y z"], Bool[Tensor, "x y z"]]:
-    """f at the nodes of blocks of the last level, given by their first node, and which nodes these are."""
-    step = torch.arange(LEVELS[-1] + 1, device=field.device)
-    top = torch.tensor(grid.cells, device=field.device)
+    field: Field, grid: Grid, blocks: _Blocks, steepest: _Steepest
+) -> tuple[Float[Tensor, "x y z"], Int8[Tensor, "x y z"]]:
+    """f at the nodes of the blocks that are near, and its sign there, which elsewhere is zero.
+
+    A node in the clear about the middle of a block has the sign of that middle, whose value stands for its own unless
+    the surface runs through one of its edges. This spares half of the evaluations.
+    """
+    count = int(np.prod(grid.nodes, dtype=np.int64))
+    values = torch.empty(count, dtype=torch.float32, device=field.device)
+    signs = torch.zeros(count, dtype=torch.int8, device=field.device)  # twice the sign where the value is its own
     strides = torch.tensor([grid.nodes[1] * grid.nodes[2], grid.nodes[2], 1], device=field.device)
-    near = torch.zeros(grid.nodes, dtype=torch.bool, device=field.device)
-    for offset in torch.cartesian_prod(step, step, step):
-        near.view(-1)[(torch.minimum(corners + offset, top) * strides).sum(dim=1)] = True
-    flat = near.view(-1).nonzero()[:, 0]
-    index = torch.stack([flat // strides[0], flat // strides[1] % grid.nodes[1], flat % grid.nodes[2]], dim=1)
-    points = grid.place(index).float()
-    found = _finite(field.value(points))
-    if bool((out := ((index == 0) | (index == top)).any(dim=1) & (found < 0)).any()):
-        raise _leaves(field, points[out][0])
-    least = NUDGE * grid.cell / GRADIENT_SAFETY * steepest.at(points)
-    found = torch.where(found < 0, -1.0, 1.0) * found.abs().maximum(least)
-    values = torch.empty(grid.nodes, dtype=torch.float32, device=field.device)
-    values.view(-1)[flat] = found
-    return values, near
+    top = torch.tensor(grid.cells, device=field.device)
+
+    def evaluate(flat: Int[Tensor, " n"]) -> None:
+        index = torch.stack([flat // strides[0], flat // strides[1] % grid.nodes[1], flat % grid.nodes[2]], dim=1)
+        points = grid.place(index).float()
+        found = _finite(field.value(points))
+        if bool((out := ((index == 0) | (index == top)).any(dim=1) & (found < 0)).any()):
+            raise _leaves(field, points[out][0])
+        least = NUDGE * grid.cell / GRADIENT_SAFETY * steepest.at(points)
+        sign = 1 - 2 * (found < 0).to(torch.int8)
+        values[flat], signs[flat] = sign * found.abs().maximum(least), 2 * sign
+
+    nodes, unsettled = [], []
+    for index, value, clear in _clearest(blocks, grid):
+        flat = (index * strides).sum(dim=1)
+        values[flat], signs[flat] = value, 1 - 2 * (value < 0).to(torch.int8)
+        nodes.append(flat)
+        unsettled.append(flat[~clear])
+    evaluate(torch.cat(unsettled))
+    flat = torch.cat(nodes)
+    sign, ends = signs[flat], []
+    for stride in strides:
+        beside = (flat + stride).clamp(max=count - 1)
+        other = signs[beside]
+        crossed = sign * other < 0
+        ends += [flat[crossed & (sign.abs() == 1)], beside[crossed & (other.abs() == 1)]]
+    evaluate(torch.unique(torch.cat(ends)))
+    return values.view(grid.nodes), signs.view(grid.nodes)
+
+
+def _clearest(
+    blocks: _Blocks, grid: Grid
+) -> Iterator[tuple[Int[Tensor, "n 3"], Float[Tensor, " n"], Bool[Tensor, " n"]]]:
+    """The nodes of the blocks of two cells that are near, those of like parity together.
+
+    Of each node its index, f at the middle of that block about it which has most room, and whether the node lies in it.
+    """
+    # The blocks as dense arrays, with one of no room on each side.
+    extent = [-(-count // 2) + 2 for count in grid.cells]
+    here = tuple((blocks.index + 1).T)
+    near, clear, values = (blocks.values.new_zeros(extent, dtype=dtype) for dtype in (torch.bool, None, None))
+    near[here], clear[here], values[here] = blocks.near, blocks.clear, blocks.values
+    for odd in product((0, 1), repeat=3):
+        # Node 2 k + odd lies in block k, and where it is even on the border to block k - 1; in the arrays, k + 1 and k.
+        around = list(product(*[(1,) if o else (0, 1) for o in odd]))
+        sizes = [(count - o) // 2 + 1 for count, o in zip(grid.cells, odd)]
+        found = torch.zeros(sizes, dtype=torch.bool, device=near.device)
+        for corner in around:
+            found |= near[tuple(slice(first, first + size) for first, size in zip(corner, sizes))]
+        index = found.nonzero()
+        flat = (index * torch.tensor(near.stride(), device=near.device)).sum(dim=1)
+        places = torch.stack([flat + int(np.dot(corner, near.stride())) for corner in around])
+        room, which = clear.view(-1)[places].max(dim=0)
+        value = values.view(-1)[places.gather(0, which[None])[0]]
+        # From a middle to a node is one cell along each axis where the node is even.
+        yield 2 * index + torch.tensor(odd, device=near.device), value, room > grid.cell * (3 - sum(odd)) ** 0.5
 
 
 class _Steepest:
@@ -240,9 +307,13 @@ class _Steepest:
 
     def at(self, points: Float[Tensor, "n 3"], reach: float = 0.0) -> Float[Tensor, " n"]:
         """The bound in the cube that reaches so far from each point along each axis, a length."""
-        around = min(self.nodes - 1, 1 + int(np.ceil(reach / float(self._step.min()) - 1e-6)))
+        # The nearest node is half a step away at most; the cube ends so far beyond it, in the cell up to the next node.
+        around = min(self.nodes - 1, 1 + int(reach / float(self._step.min()) + 0.5 + 1e-6))
         if around not in self._bounds:
-            pooled = torch.nn.functional.max_pool3d(self._lengths, 2 * around + 1, stride=1, padding=around)
+            pooled = self._lengths
+            for axis in range(3):  # one after the other, for a cube of many nodes has few along each axis
+                margin = [around if k == axis else 0 for k in range(3)]
+                pooled = torch.nn.functional.max_pool3d(pooled, [2 * m + 1 for m in margin], stride=1, padding=margin)
             self._bounds[around] = pooled.view(-1)
         index = ((points - self._lower) / self._step).round().long().clamp(0, self.nodes - 1)
         return self._bounds[around][(index * self._strides).sum(dim=1)]

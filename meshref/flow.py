@@ -204,19 +204,20 @@ def _restore(X: FloatArray, F: IntArray, wanted: float, how: Literal["newton", "
     if how == "newton":
         gradient = volume_gradient(X, F)
         direction = gradient / np.linalg.norm(gradient, axis=1, keepdims=True).clip(min=1e-300)  # zero stays zero
+    volume = signed_volume(X, F)
     for _ in range(30):
-        missing = wanted - signed_volume(X, F)
-        if abs(missing) <= 2e-15 * wanted:
+        if abs(wanted - volume) <= 1e-14 * wanted:  # a sum over so many faces is no more exact
             break
         if how == "rescale":
             center = solid_centroid(X, F)
-            X = center + (X - center) * (wanted / (wanted - missing)) ** (1 / 3)
+            X = center + (X - center) * (wanted / volume) ** (1 / 3)
         else:
             slope = float((volume_gradient(X, F) * direction).sum())
-            X = X + (missing / slope) * direction
-        if not np.isfinite(X).all() or signed_volume(X, F) <= 0:
+            X = X + ((wanted - volume) / slope) * direction
+        volume = signed_volume(X, F)
+        if not 0 < volume < np.inf:
             return None
-    return X if abs(signed_volume(X, F) / wanted - 1) <= 1e-12 else None
+    return X if abs(volume / wanted - 1) <= 1e-12 else None
 
 
 def _row(step: int, time: float, X: FloatArray, F: IntArray, begin: float) -> FlowStep:

@@ -1,5 +1,7 @@
 """Files: what is written comes back, and what is broken is refused with one clear error."""
 
+import re
+
 import numpy as np
 import pytest
 import trimesh
@@ -202,3 +204,14 @@ def test_read_order_is_that_of_the_file(real_mesh):
     V, F = real_mesh("spot.obj")  # texture seams do not tear it
     assert (len(V), len(F)) == (2930, 5856)
     np.testing.assert_array_equal(F[0], [738, 734, 735])
+
+
+def test_a_plain_obj_reads_as_one_with_more_at_its_corners(tmp_path):
+    """The quick way through plain files and the one line by line give the same bits."""
+    V, F = torus(24, 12, 0.7, 0.25)
+    plain, full = tmp_path / "plain.obj", tmp_path / "full.obj"
+    write_mesh(plain, V, F)
+    full.write_text(re.sub(r"^f (\d+) (\d+) (\d+)", r"f \1/1 \2//2 \3/3/3", plain.read_text(), flags=re.M))
+    assert "//" in full.read_text()
+    for wanted, found in zip(read_mesh(plain), read_mesh(full)):
+        np.testing.assert_array_equal(wanted, found)

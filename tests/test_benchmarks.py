@@ -1,0 +1,57 @@
+"""Each benchmark runs: asv shows one that is broken only to whoever runs asv."""
+
+import importlib
+import inspect
+import math
+import numbers
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+FILES = sorted(file.stem for file in (ROOT / "benchmarks").glob("[a-z]*.py"))
+SCRIPTS = {"common", "side_by_side"}
+KINDS = ("time_", "timeraw_", "peakmem_", "track_")
+
+
+@pytest.fixture
+def benchmarks(monkeypatch):
+    """The folder as asv imports it: a package beside the sources; it pins threads, for its own process only."""
+    monkeypatch.syspath_prepend(ROOT)
+    monkeypatch.setenv("BENCHMARKS_QUICK", "1")
+    for name in ("OMP_NUM_THREADS", "OMP_WAIT_POLICY"):
+        monkeypatch.setenv(name, "1")  # so that what the package sets goes when the test ends
+    return lambda name: importlib.import_module(f"benchmarks.{name}")
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if name not in SCRIPTS])
+def test_every_benchmark_runs_on_its_first_parameters(benchmarks, name):
+    """Setup and each method; what is tracked is a finite number, and has a unit."""
+    module = benchmarks(name)
+    classes = [c for c in vars(module).values() if inspect.isclass(c) and c.__module__ == module.__name__]
+    methods = [(c, m) for c in classes for m in dir(c) if m.startswith(KINDS)]
+    assert methods
+    ready = {}
+    for c in {c for c, _ in methods}:
+        given = tuple(values[0] for values in getattr(c, "params", ()))
+        benchmark = c()
+        if hasattr(benchmark, "setup_cache"):
+            given = (benchmark.setup_cache(), *given)
+        try:
+            getattr(benchmark, "setup", lambda *_: None)(*given)
+        except NotImplementedError:
+            continue  # asv leaves it out as well
+        ready[c] = benchmark, given
+    assert ready
+    for c, method in methods:
+        if c in ready and not method.startswith("peakmem_"):
+            benchmark, given = ready[c]
+            result = getattr(benchmark, method)(*given)
+            if method.startswith("track_"):
+                assert isinstance(result, numbers.Real)
+                assert math.isfinite(result)
+                assert getattr(c, method).unit
+            if method.startswith("timeraw_"):
+                compile(inspect.cleandoc(result), method, "exec")
+    for benchmark, given in ready.values():
+        getattr(benchmark, "teardown", lambda *_: None)(*given)
