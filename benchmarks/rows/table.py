@@ -23,5 +23,5 @@ def best(*tasks: Callable[[], object], repeats: int = 3) -> list[tuple[float, An
 
 def row(name: str, theirs: float, ours: float, accuracy: str, good: bool) -> None:
     """Print a row; without its times where the accuracy is missed, for then they compare nothing."""
-    seconds = f"{theirs:.3g} | {ours:.3g} | {theirs / ours:.1f} x" if good else "- | - | missed its accuracy"
+    seconds = f"{theirs:.3g} | {ours:.3g} | {theirs / ours:.2g} x" if good else "- | - | missed its accuracy"
     print(f"| {name} | {seconds} | {accuracy} |", flush=True)
