@@ -172,8 +172,8 @@ def replace_file(path: Path, content: bytes) -> None:
 
 def _unwritten(path: Path, why: str | None) -> OSError:
     return OSError(
-        f"{path} cannot be written: {why}. Name a folder that is there and may be written to, on a disk with room; what "
-        "stood there before is untouched."
+        f"{path} cannot be written: {why}. Name a folder that is there and may be written to, on a disk with room; "
+        "what stood there before is untouched."
     )
 
 
