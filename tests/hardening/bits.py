@@ -1,6 +1,6 @@
 """Run every editor, sampler, fit and mesh operation so many times, and print the hashes of what they give.
 
-    python bits.py 2        the runs of one process must agree, and with those of another, whatever its hash seed
+python bits.py 2        the runs of one process must agree, and with those of another, whatever its hash seed
 """
 
 from __future__ import annotations
