@@ -6,9 +6,11 @@ exit code 2, with nothing written. A case that fails while it runs is a row of t
 
 from __future__ import annotations
 
+import difflib
 import os
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import reduce
 from operator import or_
 from typing import Any, NoReturn
@@ -38,6 +40,11 @@ COMMANDS: dict[type, Callable[[Any], int]] = {
     TrainFamily: train_family,
 }
 
+DESCRIPTION = """Neural fields and meshes, edited side by side.
+
+Exit codes: 0 done; 1 a case failed, and the others are done; 2 what was given cannot be used, and nothing was done; 130
+interrupted, and what was done is kept. For completion in the shell: --tyro-print-completion bash (or zsh, tcsh)."""
+
 
 def main(arguments: list[str] | None = None) -> NoReturn:
     """Run the command line and exit: 0 done, 1 a case failed, 2 the input cannot be used, 130 interrupted."""
@@ -50,14 +57,15 @@ def main(arguments: list[str] | None = None) -> NoReturn:
 
         print(version("implicit-vs-mesh"))
         sys.exit(exits.DONE)
-    command: Any = tyro.cli(
-        reduce(or_, COMMANDS),  # Run | Shapes | ...
-        prog="implicit-vs-mesh",
-        description="Neural fields and meshes, edited side by side.",
-        args=arguments,
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
     try:
+        _require_command(arguments)
+        command: Any = tyro.cli(
+            reduce(or_, COMMANDS),  # Run | Shapes | ...
+            prog="implicit-vs-mesh",
+            description=DESCRIPTION,
+            args=arguments,
+            config=(tyro.conf.FlagCreatePairsOff,),
+        )
         code = COMMANDS[type(command)](command)
     except InputError as error:
         print(f"implicit-vs-mesh: {error}", file=sys.stderr)
@@ -69,3 +77,12 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         print(f"implicit-vs-mesh: interrupted. {interruption}".rstrip(), file=sys.stderr)
         code = exits.INTERRUPTED
     sys.exit(code)
+
+
+def _require_command(arguments: Sequence[str]) -> None:
+    """Say what was meant by a command that is mistyped; tyro does so for options only."""
+    names = [re.sub(r"(?<=[a-z])(?=[A-Z])", "-", command.__name__).lower() for command in COMMANDS]
+    if arguments and not arguments[0].startswith("-") and arguments[0] not in names:
+        close = difflib.get_close_matches(arguments[0], names, n=1)
+        hint = f" Did you mean {close[0]}?" if close else ""
+        raise InputError(f"There is no command {arguments[0]}; there are {', '.join(names)}.{hint}")

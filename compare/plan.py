@@ -55,12 +55,12 @@ EDITORS: dict[tuple[str, Operation], tuple[Callable[..., Any], ...]] = {
 }
 
 
-def plan(study: Study, folder: Path) -> list[Case]:
+def plan(study: Study, inputs: Path) -> list[Case]:
     """All cases of a study, in the order of shapes, operations and grid.
 
     Args:
         study: Whose shapes have been checked.
-        folder: Where a bundled shape is written as a mesh if the study fits networks, under `inputs/`.
+        inputs: The folder where a bundled shape is written as a mesh, if the study fits networks.
 
     Raises:
         InputError: An option is not one that the editor of an operation takes.
@@ -68,7 +68,7 @@ def plan(study: Study, folder: Path) -> list[Case]:
     check_options(study)
     cases = []
     for name in study.shapes:
-        shape = _as_mesh(name, folder) if _fits(study) and name in BUNDLED else name
+        shape = _as_mesh(name, inputs) if _fits(study) and name in BUNDLED else name
         V, N = outline(shape)
         fit = QUICK_FIT if study.quick and Path(shape).suffix.lower() in MESH_SUFFIXES else {}
         settings = QUICK_SIZE if study.quick else {}
@@ -191,9 +191,9 @@ def _field(shape: str) -> implicit.Field:
     return (bundled(shape) if shape in BUNDLED else implicit.load_field(shape)).to(torch.float64)
 
 
-def _as_mesh(name: str, folder: Path) -> str:
+def _as_mesh(name: str, inputs: Path) -> str:
     """The surface of a bundled shape in a file, for networks of other sizes to be fitted to."""
-    path = folder.absolute() / "inputs" / f"{name}.ply"
+    path = inputs.absolute() / f"{name}.ply"
     path.parent.mkdir(parents=True, exist_ok=True)
     V, F = implicit.extract_mesh(_field(name), CELLS_TO_FIT)
     meshref.write_mesh(path, V, F)

@@ -18,14 +18,16 @@ and mesh.NAME for the options of the editors, fit.NAME for those of the fit of a
 from __future__ import annotations
 
 import difflib
+import math
 import tomllib
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field as default
 from importlib import resources
 from pathlib import Path
 from typing import Any, get_args
 
 from compare.case import FIELD_SUFFIX, MESH_SUFFIXES, OPERATIONS, HandleSpec, Operation
+from compare.labels import flat
 from compare.records import plain
 from compare.subject import InputError
 from compare.table import COLUMNS
@@ -134,7 +136,10 @@ def find_study(name: str, *, quick: bool = False, shapes: Collection[str] = ()) 
     if path.suffix == ".toml":
         if not path.is_file():
             raise InputError(f"There is no file {name}. Check the path; built-in studies are {', '.join(built_in())}.")
-        text, base = path.read_text(encoding="utf-8"), path.absolute().parent
+        try:
+            text, base = path.read_text(encoding="utf-8"), path.absolute().parent
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"{name} cannot be read as text: {error}.") from error
     else:
         file = resources.files("compare") / "builtin_studies" / f"{name}.toml"
         if not file.is_file():
@@ -173,12 +178,12 @@ def parse_study(text: str, name: str, base: Path, *, quick: bool = False, shapes
         if operation not in OPERATIONS:
             hint = _did_you_mean(operation, OPERATIONS)
             raise InputError(f"An operation in {name} is one of {', '.join(OPERATIONS)}, but is {operation!r}.{hint}")
-    grid = _flat(_table(given.get("grid", {}), "grid", name))
+    grid = flat(_table(given.get("grid", {}), "grid", name))
     for axis, values in grid.items():
         if not isinstance(values, list) or not values:
             raise InputError(f"{axis} in [grid] of {name} must be a list of values, but is {values!r}.")
         if any(isinstance(value, dict) for value in values):
-            tables = [_flat(value) for value in values if isinstance(value, dict)]
+            tables = [flat(value) for value in values if isinstance(value, dict)]
             if len(tables) < len(values) or any(set(table) != set(tables[0]) for table in tables):
                 raise InputError(f"The tables of {axis} in [grid] of {name} must all set the same settings.")
             grid[axis] = tables
@@ -190,7 +195,7 @@ def parse_study(text: str, name: str, base: Path, *, quick: bool = False, shapes
         shapes=tuple(_located(shape, Path()) for shape in shapes) or tuple(own),
         operations=tuple(operation for operation in get_args(Operation) if operation in operations),
         grid={axis: tuple(values) for axis, values in grid.items()},
-        settings=_flat(_table(given.get("settings", {}), "settings", name)),
+        settings=flat(_table(given.get("settings", {}), "settings", name)),
         handles=tuple(_handle(row, name) for row in _rows(given, "handles", name)),
         charts=tuple(_chart(row, name) for row in _rows(given, "charts", name)),
         keep_meshes=bool(given.get("keep_meshes", True)),
@@ -208,16 +213,29 @@ def _check(study: Study, name: str) -> None:
         raise InputError(f"{name} gives handles, but smoothing takes none.")
     for setting in [*study.settings, *study.varied]:
         _require_setting(setting, study.operations, name)
+    for setting, value in _values(study):
+        if not isinstance(value, str | int | float | list) or (isinstance(value, float) and not math.isfinite(value)):
+            raise InputError(f"{setting} in {name} must be a word, a finite number or a list, but is {value}.")
     places = [*study.settings, *(s for axis, values in study.grid.items() for s in settings_at(axis, values[0]))]
     if twice := [setting for setting in places if places.count(setting) > 1]:
         raise InputError(f"{twice[0]} is set in two places of {name}. Keep one.")
     measured = [column.name for column in COLUMNS]
     for chart in study.charts:
+        if chart.against_last and not study.grid:
+            raise InputError(f"A chart in {name} is against the last of the grid, but there is no [grid].")
         for axis, allowed in (("x", [*study.varied, *measured]), ("y", measured)):
             value = getattr(chart, axis)
             if value not in allowed:
                 hint = _did_you_mean(value, allowed)
                 raise InputError(f"{axis} of a chart in {name} is one of {', '.join(allowed)}, but is {value!r}.{hint}")
+
+
+def _values(study: Study) -> Iterator[tuple[str, Any]]:
+    """Every setting with every value that it takes."""
+    yield from study.settings.items()
+    for axis, values in study.grid.items():
+        for value in values:
+            yield from settings_at(axis, value).items()
 
 
 def _require_setting(setting: str, operations: Iterable[str], name: str) -> None:
@@ -238,14 +256,6 @@ def _require_setting(setting: str, operations: Iterable[str], name: str) -> None
 def settings_at(axis: str, value: Any) -> Mapping[str, Any]:
     """What one value of an axis sets."""
     return value if isinstance(value, Mapping) else {axis: value}
-
-
-def _flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    """Nested tables as one, with dotted names."""
-    flat: dict[str, Any] = {}
-    for key, value in table.items():
-        flat |= _flat(value, f"{before}{key}.") if isinstance(value, dict) else {f"{before}{key}": value}
-    return flat
 
 
 def _merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

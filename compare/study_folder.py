@@ -15,16 +15,17 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 from compare.case import Case, content_of
-from compare.lock import lock
+from compare.labels import flat
+from compare.lock import FILE as LOCK_FILE, lock
 from compare.records import FILE, Record, read, replace_file
 from compare.study import Study, find_study
 from compare.subject import InputError, Progress, check_shape
 
 SCHEMA = 1
 STUDY_FILE = "study.json"
+INPUTS = "inputs"  # a folder for shapes that the study itself writes
 
 
 @dataclass(frozen=True)
@@ -94,22 +95,27 @@ def run_study(
     for shape in study.shapes:
         check_shape(shape)
     folder.mkdir(parents=True, exist_ok=True)
-    with lock(folder):
-        begun = _begin(study, folder)
-        if on_plan is not None:
-            on_plan(begun.cases, finished(folder))
+    try:
+        with lock(folder):
+            begun = _begin(study, folder)
+            if on_plan is not None:
+                on_plan(begun.cases, finished(folder))
 
-        from compare.run import run_cases
+            from compare.run import run_cases
 
-        records = run_cases(
-            begun.cases,
-            executor,
-            folder=folder,
-            keep_meshes=study.keep_meshes,
-            progress=progress,
-            on_record=on_record,
-        )
-        sum_up(study, records, folder)
+            records = run_cases(
+                begun.cases,
+                executor,
+                folder=folder,
+                keep_meshes=study.keep_meshes,
+                progress=progress,
+                on_record=on_record,
+            )
+            sum_up(study, records, folder)
+    except InputError:
+        if not any(folder.iterdir()):  # refused after all; nothing is left of it
+            folder.rmdir()
+        raise
     return records
 
 
@@ -120,14 +126,14 @@ def require_folder_of(study: Study, folder: Path) -> None:
         InputError: It does; the message says what differs.
     """
     if (folder / STUDY_FILE).is_file():
-        before, now = (_flat(one.to_dict()) for one in (Begun.read(folder).study, study))
+        before, now = (flat(one.to_dict()) for one in (Begun.read(folder).study, study))
         if before != now:
             name = next(key for key in {**before, **now} if before.get(key) != now.get(key))
             raise InputError(
                 f"The folder {folder} holds another study: {name} was {before.get(name)!r}, and is {now.get(name)!r} "
                 "now. Name another folder."
             )
-    elif folder.is_dir() and any(folder.iterdir()):
+    elif folder.is_dir() and any(not _is_of_a_beginning(path) for path in folder.iterdir()):
         raise InputError(f"The folder {folder} is not empty and holds no study. Name another or an empty one.")
 
 
@@ -164,7 +170,7 @@ def _begin(study: Study, folder: Path) -> Begun:
 
     from compare.plan import plan
 
-    cases = plan(study, folder)
+    cases = plan(study, folder / INPUTS)
     shapes = dict.fromkeys(case.shape for case in cases)
     begun = Begun(study, cases, {shape: _content(shape) for shape in shapes if Path(shape).suffix})
     begun.write(folder)
@@ -178,8 +184,6 @@ def _content(shape: str) -> str:
         return "nothing"
 
 
-def _flat(value: Any, name: str = "") -> dict[str, Any]:
-    """Every number and word by its dotted name, to say what differs."""
-    if isinstance(value, dict):
-        return {k: v for key, item in value.items() for k, v in _flat(item, f"{name}.{key}".lstrip(".")).items()}
-    return {name: value}
+def _is_of_a_beginning(path: Path) -> bool:
+    """Whether it is what a study leaves that was killed before its study.json was there."""
+    return path.name in (LOCK_FILE, INPUTS) or path.suffix == ".part"

@@ -15,9 +15,9 @@ from compare.case import OPERATIONS, QUICK_FIT, QUICK_SIZE, Case, default_cases
 from compare.commands.checks import require_folder_for, require_seed
 from compare.commands.exits import FAILED
 from compare.commands.shown import add_task, advance, print_json, print_table, progress_bars, speaker, teller
-from compare.executors import executor_of
+from compare.executors import WorkerDiedError, executor_of
 from compare.lock import lock
-from compare.records import FILE, Record, read
+from compare.records import FILE, read
 from compare.subject import BUNDLED, InputError, Progress, check_shape, prepare_subject
 
 
@@ -64,7 +64,6 @@ def run(command: Run) -> int:
     from compare.run import run_cases
 
     folder.mkdir(parents=True, exist_ok=True)
-    kept = 0
     with (
         lock(folder),
         progress_bars(command.quiet) as bars,
@@ -73,18 +72,12 @@ def run(command: Run) -> int:
         total = add_task(bars, "all", len(command.shapes) * len(command.operations))
         tell = teller(bars, add_task(bars, "", None) if executor is None else None)
 
-        def on_record(record: Record) -> None:
-            nonlocal kept
-            kept += 1
-            advance(bars, total)
-
         try:
             cases = _cases(command, folder, executor, tell)
-            records = run_cases(cases, executor, folder=folder, progress=tell, on_record=on_record)
+            records = run_cases(cases, executor, folder=folder, progress=tell, on_record=lambda _: advance(bars, total))
         except KeyboardInterrupt:
-            raise KeyboardInterrupt(
-                f"{kept} cases are kept; `run --resume -o {folder}` goes on with the rest."
-            ) from None
+            on = f"What is done is kept; the same command with --resume -o {folder} goes on with the rest."
+            raise KeyboardInterrupt(on) from None
     page = write_report(records, folder / "report.html")
     if command.json:
         print_json(records)
@@ -111,7 +104,7 @@ def _cases(command: Run, folder: Path, executor: Executor | None, tell: Progress
     for name, case in any_case.items():
         try:
             V, N = waiting[name].result() if waiting else _surface(case, folder, tell)
-        except (ValueError, OSError) as error:
+        except (ValueError, OSError, WorkerDiedError) as error:
             raise InputError(f"{name}: {error}") from error
         cases += default_cases(name, V, N, operations=command.operations, quick=command.quick, fit=fit, **settings)
     return cases

@@ -15,6 +15,7 @@ from compare.commands import exits
 from compare.commands.checks import require_folder_for
 from compare.commands.shown import add_task, advance, print_json, print_table, progress_bars, speaker, teller
 from compare.executors import executor_of
+from compare.labels import labels
 from compare.records import Record
 from compare.study_folder import STUDY_FILE, Begun, finished, run_study
 from compare.subject import InputError
@@ -54,17 +55,19 @@ def study(command: Study) -> int:
     say = speaker(command.quiet, to_stderr=True)
     with progress_bars(command.quiet) as bars, executor_of(command.workers, command.dask) as executor:
         total: Any = None
+        label: dict[str, str] = {}
         current = add_task(bars, "", None) if executor is None else None
 
         def on_plan(cases: list[Case], there: int) -> None:
-            nonlocal total
+            nonlocal total, label
+            label = labels(cases)
             total = add_task(bars, chosen.name, len(cases), there)
 
         def on_record(record: Record) -> None:
             advance(bars, total)
             if bars is not None and not bars.console.is_terminal:  # a log, in which bars do not move
                 task = bars.tasks[total]
-                say(_line(record, task.completed, task.total, task.time_remaining))
+                say(_line(record, label[record.key], task.completed, task.total, task.time_remaining))
 
         try:
             tell = teller(bars, current)
@@ -84,7 +87,7 @@ def _chosen(command: Study) -> tuple[studies.Study, Path]:
     """The study that is meant, and its folder."""
     if not command.name:
         raise InputError(f"Name a study: {', '.join(studies.built_in())}, or a file ending in .toml.")
-    if (Path(command.name) / STUDY_FILE).is_file():
+    if command.name not in studies.built_in() and (Path(command.name) / STUDY_FILE).is_file():
         if command.shapes or command.quick or command.no_meshes or command.output:
             raise InputError(f"{command.name} holds a study with its own settings. Leave the options for it out.")
         return Begun.read(Path(command.name)).study, Path(command.name)
@@ -111,8 +114,9 @@ def _list(as_json: bool) -> int:
     return exits.DONE
 
 
-def _line(record: Record, done: float, total: float | None, seconds_left: float | None) -> str:
+def _line(record: Record, label: str, done: float, total: float | None, seconds_left: float | None) -> str:
     """A case that has ended, for a log."""
-    what = f"{done:.0f} of {total:.0f}: {record.case.name}, {record.case.operation}"
+    words = ", ".join(filter(None, (record.case.name, record.case.operation, label)))
+    what = f"{done:.0f} of {total:.0f}: {words}"
     left = "" if seconds_left is None else f"; about {timedelta(seconds=round(seconds_left))} left"
     return f"{what}{'. ' + record.status if record.failed else left}"

@@ -9,6 +9,7 @@ import time
 import pytest
 
 import meshref
+from compare.cli import main
 from compare.records import read
 
 
@@ -30,7 +31,7 @@ def test_help_is_quick_and_names_every_command(tmp_path):
     result = command("--help", cwd=tmp_path)
     assert result.returncode == 0
     assert time.perf_counter() - start < 5
-    for word in ("run", "shapes", "fit", "report", "figures"):
+    for word in ("run", "study", "shapes", "fit", "report", "figures", "Exit codes", "130 interrupted"):
         assert word in result.stdout
 
 
@@ -38,6 +39,33 @@ def test_help_imports_neither_torch_nor_the_mesh_libraries(tmp_path):
     code = "import sys, compare.cli; print([m for m in ('torch', 'igl', 'pymeshlab', 'plotly') if m in sys.modules])"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True)
     assert result.stdout.strip() == "[]"
+
+
+def test_a_command_that_is_mistyped_is_told_what_was_meant(capsys):
+    for word, meant in (("rnu", "run"), ("studdy", "study"), ("trainfamily", "train-family")):
+        with pytest.raises(SystemExit) as ended:
+            main([word])
+        assert ended.value.code == 2
+        assert f"Did you mean {meant}?" in capsys.readouterr().err
+
+
+def test_an_option_that_is_mistyped_is_told_what_was_meant(tmp_path):
+    result = command("study", "points", "--wrokers", "2", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "--workers" in result.stderr
+
+
+def test_the_shell_can_complete_commands_and_options(tmp_path):
+    script = command("--tyro-print-completion", "bash", cwd=tmp_path)
+    assert script.returncode == 0
+    for word in ("study", "--workers", "train-family"):
+        assert word in script.stdout
+
+
+def test_studies_are_listed_with_what_they_show(tmp_path):
+    rows = json.loads(command("study", "--list", "--json", cwd=tmp_path).stdout)
+    assert {"resolution", "points", "width", "damping", "step-size"} <= set(rows)
+    assert "Resolution of the mesh against error" in command("study", "--list", cwd=tmp_path).stdout
 
 
 def test_shapes_lists_the_bundled_ones_with_their_fit(tmp_path):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from compare import Case, Record
-from compare.records import FILE, Artefact, append, plain, provenance, read
+from compare.records import FILE, Artefact, append, plain, read
 
 
 def a_record(seed=0, **changes):
@@ -97,11 +97,3 @@ def test_a_writer_killed_at_any_moment_leaves_whole_rows(tmp_path):
         assert len(read(path)) > before
     append(path, a_record())
     assert read(path)[-1] == a_record()
-
-
-def test_provenance_says_what_a_number_may_depend_on():
-    row = provenance(seed=3)
-    assert row["seed"] == 3
-    assert row["threads"] >= 1
-    assert row["versions"]["torch"]
-    assert json.dumps(row)
