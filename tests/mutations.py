@@ -64,7 +64,7 @@ IMPLICIT = [
      "sensitivity::products_agree_with_the_matrix"),
     ("slope of the field in the transposed product", "sensitivity",
      "scaled = -weights / lengths", "scaled = -weights",
-     "sensitivity::multiplying_the_field_changes_nothing"),
+     "sensitivity::products_agree_with_the_matrix"),
     ("quotient rule of the sensitivity's slope", "deformation",
      "- u[:, None, :] * bend[:, :, None]", "+ u[:, None, :] * bend[:, :, None]",
      "deformation::slope_rows_match_differences_of_the_normal_speed"),
