@@ -73,8 +73,8 @@ class Record:
             raise ValueError(f"The row must be a dictionary, but is a {type(row).__name__}.")
         if row.get("schema") != SCHEMA:
             raise ValueError(
-                f"The row is of schema {row.get('schema')}, but must be of {SCHEMA} for this version. Read it with the "
-                "version that wrote it, or run the case again."
+                f"The row is of schema {row.get('schema')}, but this version reads {SCHEMA}. Read it with the version "
+                "that wrote it, or run the case again."
             )
         if missing := [name for name in ("case", "key", "status", "notes", "artefacts") if row.get(name) is None]:
             raise ValueError(f"The row must have {missing[0]}, but has none. Run the case again.")
@@ -172,8 +172,8 @@ def replace_file(path: Path, content: bytes) -> None:
 
 def _unwritten(path: Path, why: str | None) -> OSError:
     return OSError(
-        f"{path} cannot be written: {why}. Name a folder that is there and may be written to, on a disk with room; what "
-        "stood there before is untouched."
+        f"{path} cannot be written: {why}. Name a folder that is there and may be written to, on a disk with room; "
+        "what stood there before is untouched."
     )
 
 

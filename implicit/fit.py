@@ -145,7 +145,12 @@ def fit_field(
     start = perf_counter()
     dimension = _check_samples(points, distances, normals)
     box = _check_bounds(bounds, dimension)
-    options = {"width": width, "depth": depth, "activation": activation, "first_frequency": first_frequency}
+    options: dict[str, Any] = {
+        "width": width,
+        "depth": depth,
+        "activation": activation,
+        "first_frequency": first_frequency,
+    }
     options |= {"frequency": frequency, "steps": steps, "seconds": seconds, "batch": batch, "method": method}
     options |= {"learning_rate": learning_rate, "band": band, "units": units, "seed": seed, "dtype": dtype}
     require_training({**options, "checkpoint": checkpoint})

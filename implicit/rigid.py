@@ -161,9 +161,9 @@ def prepare(
     seed: int,
 ) -> tuple[Field, SurfaceSample, RigidOperation]:
     """The field in float64, the points that carry the energies, and what each step minimises; see rigid_edit."""
-    handles = checked_handles(handles)
     if require_field(field).dimension != 3:
         raise ValueError(f"rigid_edit needs a field in 3 dimensions, but this one has {field.dimension}.")
+    handles = checked_handles(handles)
     require_whole("steps", steps)
     require_positive("alpha", alpha)
     for name, share in zip(("bending", "thickness"), shares, strict=True):

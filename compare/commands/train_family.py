@@ -62,6 +62,10 @@ def train_family(command: TrainFamily) -> int:
 
     from compare.train_family import train_and_save
 
+    try:
+        torch.device(command.device)
+    except RuntimeError as error:
+        raise InputError(f"--device must be one of torch, such as cpu or cuda, but is {command.device!r}.") from error
     if command.device.startswith("cuda") and not torch.cuda.is_available():
         raise InputError(
             f"--device {command.device}: torch finds no CUDA device here. Leave it out to train on the CPU."

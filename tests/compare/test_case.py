@@ -78,12 +78,12 @@ def test_the_default_bump_sits_on_the_middle_of_the_thin_side():
         (lambda: Case("spot", "bend"), "operation must be one of geometric, smooth, rigid, but is 'bend'"),
         (lambda: Case("spot", "rigid"), "needs handles"),
         (lambda: Case("spot", "smooth", (HandleSpec(BALL, UP),)), "takes no handles"),
-        (lambda: Case("spot", "smooth", vertices=3), "at least 100 vertices"),
+        (lambda: Case("spot", "smooth", vertices=3), "vertices must be a whole number, at least 100"),
         (lambda: HandleSpec({"kind": "cone"}, UP), "kind of a region must be one of ball, box, halfspace"),
-        (lambda: HandleSpec({**BALL, "size": 1}, UP), "takes center, radius, falloff, but got size"),
+        (lambda: HandleSpec({**BALL, "size": 1}, UP), "must have center, radius, falloff, but has .*size"),
         (
             lambda: HandleSpec(BALL, {"kind": "vector", "vector": [0, float("nan"), 0]}),
-            "vector of a motion must be finite",
+            "vector of a motion must be three finite numbers",
         ),
     ],
 )

@@ -230,7 +230,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "fit ball.off -o new.safetensors --seed -1": ("seed",),
     "fit ball.off -o new.safetensors --checkpoint words.txt/a": ("words.txt",),
     "report gone": ("gone",),
-    "report words.txt": ("words.txt",),
+    "report words.txt": ("record",),
     "report full": ("full",),
     "report torn": ("Line 1",),
     "report newer": ("schema 99",),

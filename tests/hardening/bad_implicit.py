@@ -581,7 +581,11 @@ def _of_samples() -> Iterator[BadCase]:
         lambda x: implicit.sample_surface(BALL, 5, resolution=x),
     )
     yield from refusals(
-        "sample_surface", "resolution", counts(4), lambda x: implicit.sample_surface(BALL, 5, "rejection", resolution=x)
+        "sample_surface",
+        "resolution of rejection",
+        counts(4),
+        lambda x: implicit.sample_surface(BALL, 5, "rejection", resolution=x),
+        "resolution",
     )
     yield from refusals("sample_surface", "seed", counts(0), lambda x: implicit.sample_surface(BALL, 5, seed=x))
     yield from refusals(

@@ -291,10 +291,10 @@ def _of_options() -> Iterator[BadCase]:
     yield from refusals("torus", "major_radius", positives(), lambda x: meshref.torus(8, 8, x))
     yield from refusals("box", "upper", [("below lower", (1, 1, -1)), *centers], lambda x: meshref.box(upper=x))
     yield from refusals("box", "subdivisions", [*counts(0), ("enormous", 40)], lambda x: meshref.box(subdivisions=x))
-    yield from refusals("cylinder", "around", counts(3), lambda x: meshref.cylinder(x, 2))
-    yield from refusals("cylinder", "along", counts(), lambda x: meshref.cylinder(8, x))
-    yield from refusals("cylinder", "radius", positives(), lambda x: meshref.cylinder(8, 2, x))
-    yield from refusals("cylinder", "height", positives(), lambda x: meshref.cylinder(8, 2, 1.0, x))
+    yield from refusals("meshref.cylinder", "around", counts(3), lambda x: meshref.cylinder(x, 2))
+    yield from refusals("meshref.cylinder", "along", counts(), lambda x: meshref.cylinder(8, x))
+    yield from refusals("meshref.cylinder", "radius", positives(), lambda x: meshref.cylinder(8, 2, x))
+    yield from refusals("meshref.cylinder", "height", positives(), lambda x: meshref.cylinder(8, 2, 1.0, x))
 
 
 def _of_points() -> Iterator[BadCase]:

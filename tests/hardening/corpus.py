@@ -18,6 +18,7 @@ REMEDIES = (
     "must", "need", "add", "check", "choose", "close", "convert", "copy", "cut", "drop", "fetch", "give", "hold",
     "load", "lower", "make", "mend", "move", "name", "raise", "refit", "remove", "sample", "save", "take", "train",
     "turn", "use", "widen", "wrap", "write",
+    "is one of", "ending in", "there are", "run the case",
 )  # fmt: skip
 
 

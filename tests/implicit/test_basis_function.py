@@ -41,7 +41,7 @@ def test_one_weight_per_layer_goes_from_the_first_layer_to_the_last():
     [
         (-1, "at least 0"),
         ("centre", "There is no parameter"),
-        ("center[7]", "has the shape \\(3,\\)"),
+        ("center[7]", "must fit the shape \\(3,\\)"),
         ("center", "pl"),
     ],
 )

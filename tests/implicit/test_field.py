@@ -119,8 +119,8 @@ def test_a_module_that_does_not_describe_itself_cannot_be_saved(tmp_path):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Field(nn.ReLU()), "no parameters to edit"),
-        (lambda: Field(nn.Linear(3, 1), parameters=["x*"]), "No parameter of the module matches 'x\\*'"),
+        (lambda: Field(nn.ReLU()), "must have parameters to edit"),
+        (lambda: Field(nn.Linear(3, 1), parameters=["x*"]), "'x\\*' matches none of weight, bias"),
         (lambda: Field(nn.Linear(3, 1), inside="out"), "inside must be"),
         (lambda: Field(nn.Linear(3, 1), bounds=((1, 1, 1), (0, 0, 0))), "bounds must be"),
     ],

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from implicit import Area, SurfaceIntegral, Volume, VolumeIntegral, integrate, shapes, surface_quadrature
+from implicit.functionals import volume_terms
 
 
 def moment(points):
@@ -79,3 +80,13 @@ def test_the_error_estimate_bounds_the_error(resolution):
     for functional, exact in ((Volume(), 2 * math.pi**2 * 0.6 * 0.25**2), (Area(), 4 * math.pi**2 * 0.6 * 0.25)):
         found = integrate(field, functional, resolution)
         assert abs(found.value - exact) <= found.error < 1e-3 * exact
+
+
+def test_the_way_to_the_surface_takes_most_of_the_cells_error_out():
+    ball = shapes.sphere(0.5)
+    sample = surface_quadrature(ball, 10)
+    for functional, cells, exact in (
+        (Volume(), float(volume_terms(sample).sum()), math.pi / 6),
+        (Area(), float(sample.weights.sum()), math.pi),
+    ):
+        assert abs(functional.value(ball, sample) - exact) < 0.3 * abs(cells - exact)

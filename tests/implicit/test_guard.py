@@ -74,9 +74,9 @@ def test_a_bound_that_is_met_changes_nothing_and_one_that_would_be_broken_holds(
 def test_unknown_ways_of_holding_are_refused(wobbly):
     with pytest.raises(ValueError, match="enforce must be"):
         Holding(enforce="gently")
-    with pytest.raises(ValueError, match="tolerance and penalty must be positive"):
+    with pytest.raises(ValueError, match="penalty must be a positive"):
         Holding(penalty=0.0)
-    with pytest.raises(ValueError, match="bound of a constraint"):
+    with pytest.raises(ValueError, match="bound must be one of"):
         smooth(wobbly, constraints=(Volume(bound="roughly"),), **COARSE)
 
 

@@ -39,7 +39,7 @@ def test_a_shape_without_the_mirror_plane_is_refused():
     sample = implicit.surface_quadrature(field, 32)
     with pytest.raises(ValueError, match="mirror image"):
         mirror_symmetry(field, sample, torch.eye(4, dtype=torch.float64))
-    with pytest.raises(ValueError, match="count must be between 1"):
+    with pytest.raises(ValueError, match="count must be at least 1, at most"):
         surface_modes(field, sample, 9)
 
 

@@ -89,7 +89,7 @@ def test_volume_can_be_kept(wobbly):
 @pytest.mark.parametrize(
     ("handles", "message"),
     [
-        ([], "do not fix a rigid motion"),
+        ([], "handles is empty"),
         ([Handle(Ball((9, 9, 9), 0.1), (0, 0, 0))], "No point of the surface lies in the region"),
     ],
 )

@@ -113,7 +113,7 @@ def test_a_sample_is_carried_to_another_surface():
     torch.testing.assert_close(carried.normals, sample.normals)
     with pytest.raises(SurfaceError, match="did not reach the surface"):
         transport(large, sample, 0 * sample.points)
-    with pytest.raises(ValueError, match="must have the shape"):
+    with pytest.raises(ValueError, match="displacement must have shape"):
         transport(large, sample, sample.points[:5])
 
 
@@ -121,11 +121,11 @@ def test_an_unknown_method_and_no_points_are_refused():
     field = shapes.sphere(radius=0.5)
     with pytest.raises(ValueError, match="method must be"):
         sample_surface(field, 10, "hope")
-    with pytest.raises(ValueError, match="at least 1 point"):
+    with pytest.raises(ValueError, match="n must be at least 1 point"):
         sample_surface(field, 0)
 
 
 def test_no_surface_is_said():
     field = shapes.sphere(radius=0.5)
-    with pytest.raises(SurfaceError, match="Is there a surface in the bounds"):
+    with pytest.raises(SurfaceError, match="Check that there is one in the bounds"):
         sample_surface(field.with_theta(field.theta * 0 - 5.0), 10, "rejection")

@@ -158,9 +158,9 @@ def test_a_strong_prior_pulls_the_code_to_its_mean():
         ({"displacements": torch.full((5, 3), float("nan"), dtype=F64)}, r"displacements\[0\] is not finite"),
         ({"points": 2 * sphere_points(5)}, "must lie on the surface"),
         ({"steps": 0}, "steps must be at least 1"),
-        ({"damping": -1.0}, "damping must be None or at least 0"),
-        ({"stride": 0.0}, "stride must be None or positive"),
-        ({"tolerance": 1.0}, "between 0 and 1"),
+        ({"damping": -1.0}, "damping must be a number of at least 0"),
+        ({"stride": 0.0}, "stride must be a positive length"),
+        ({"tolerance": 1.0}, "tolerance must be a number of at least 0 and below 1"),
         ({"prior": CodePrior.of(torch.eye(3, dtype=F64))}, "The prior is one of codes of 3 numbers"),
     ],
 )

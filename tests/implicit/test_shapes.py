@@ -49,7 +49,7 @@ def test_formulas_follow_the_parameters_that_are_edited():
 
 
 def test_an_unknown_formula_is_refused_with_the_alternative():
-    with pytest.raises(TypeError, match=r"No formula .* area of a SmoothUnion. Integrate it with surface_quadrature"):
+    with pytest.raises(TypeError, match=r"No formula .* area of a field of a SmoothUnion. Take implicit.integrate"):
         shapes.exact_area(shapes.cactus())
 
 

@@ -81,9 +81,9 @@ def test_a_perceptron_starts_near_the_distance_to_a_sphere(activation):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Siren(dimension=4), "Siren needs dimension 2 or 3"),
-        (lambda: Siren(width=0), "width and depth of at least 1"),
-        (lambda: Mlp(depth=0), "Mlp needs dimension 2 or 3, width and depth of at least 1"),
+        (lambda: Siren(dimension=4), "dimension must be at least 2, at most 3"),
+        (lambda: Siren(width=0), "width must be at least 1"),
+        (lambda: Mlp(depth=0), "depth must be at least 1"),
         (lambda: Mlp(activation="tanh"), 'activation "softplus" or "relu"'),
         (lambda: Mlp(sharpness=0.0), "positive sharpness"),
     ],

@@ -171,5 +171,5 @@ def test_an_update_of_another_size_is_refused(wobbly, slide):
 
 
 def test_a_curvature_of_zero_cannot_be_the_least():
-    with pytest.raises(ValueError, match="least_curvature must be positive"):
+    with pytest.raises(ValueError, match="least_curvature must be a positive"):
         ConstantNormals(0.0)

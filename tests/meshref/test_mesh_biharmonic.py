@@ -4,6 +4,7 @@ import igl
 import numpy as np
 import pytest
 
+import meshref
 from meshref import BiharmonicStatus, MeshError, biharmonic, icosphere
 
 
@@ -50,3 +51,14 @@ def test_a_part_without_a_handle_is_refused():
     two = np.concatenate([V, V + 3]), np.concatenate([F, F + len(V)])
     with pytest.raises(MeshError, match="1 of 2 connected parts of the mesh hold no handle"):
         biharmonic(*two, [0], [[0.1, 0, 0]])
+
+
+def test_the_free_vertices_balance_on_an_uneven_mesh():
+    """L M^-1 L d vanishes there, with the areas of the vertices in M."""
+    V, F = meshref.torus(10, 7)
+    V = V + 0.05 * np.random.default_rng(0).standard_normal(V.shape)
+    held = np.array([0, 20, 45])
+    d = meshref.biharmonic(V, F, held, np.eye(3)).displacement
+    L = meshref.cotangent_laplacian(V, F)
+    force = L @ ((L @ d) / meshref.vertex_areas(V, F)[:, None])
+    assert np.abs(np.delete(force, held, axis=0)).max() < 1e-8 * np.abs(force).max()
