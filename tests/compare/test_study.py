@@ -144,7 +144,7 @@ def test_a_study_comes_back_from_json():
         ('y = "seconds"', 'y = "second"', "y of a chart .*Did you mean seconds"),
         ('y = "seconds"', 'z = "seconds"', "no key z in a chart"),
         ('y = "seconds"', "", "needs x and y, but has x"),
-        ("vertices = 150", "vertices = 15", "at least 100 vertices"),
+        ("vertices = 150", "vertices = 15", "vertices must be a whole number, at least 100"),
         ("ball.safetensors", "bal.safetensors", "There is no file"),
         ("= 60", "= inf", "must be a word, a finite number or a list, but is inf"),
         ("= 60", "= 2020-01-01", "must be a word, a finite number or a list, but is 2020-01-01"),
