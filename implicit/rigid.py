@@ -42,7 +42,7 @@ from implicit.tangential import CosineFeatures, TangentialModel
 # square of its motion, so the damping falls with the motion, down to a tenth: from where handles go further than SMALL
 # of the field's size.
 DAMPING = 1e-8
-SMALL = 0.02
+SMALL = 0.004
 LEAST = 0.1
 
 # Of the energy off the surface beside the strain. It costs a small motion less than half a per cent of tangential

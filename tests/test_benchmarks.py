@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 FILES = sorted(file.stem for file in (ROOT / "benchmarks").glob("[a-z]*.py"))
-SCRIPTS = {"common", "side_by_side"}
+SCRIPTS = {"common", "flat_memory", "side_by_side"}
 KINDS = ("time_", "timeraw_", "peakmem_", "track_")
 
 
