@@ -27,7 +27,7 @@ from implicit.energies import Killing, VectorTarget, total_energy
 from implicit.field import Field
 from implicit.models.siren import Siren
 from implicit.regions import Handle
-from implicit.rigid import DAMPING, prepare
+from implicit.rigid import prepare
 from implicit.sensitivity import normal_displacement
 from implicit.solve import LeastSquares
 from implicit.step import State
@@ -141,7 +141,7 @@ def trained_rigid_step(
     for energy in problem.energies:
         for rows in energy.rows(problem.space):
             system.add(rows)
-    linear = system.solve(relative_damping=DAMPING)
+    linear = system.solve(relative_damping=problem.first_damping)
     linear_seconds = time.perf_counter() - clock
 
     clock = time.perf_counter()

@@ -206,7 +206,7 @@ def _read_plain_obj(content: bytes) -> tuple[FloatArray, IntArray] | None:
             return None
         try:
             arrays.append(np.array(words).reshape(-1, 4)[:, 1:].astype(kind))
-        except ValueError:
+        except (ValueError, OverflowError):
             return None
     V, F = arrays
     known = (b"v ", b"f ", b"#", b"vn", b"vt", b"o ", b"g ", b"s ", b"usemtl", b"mtllib")

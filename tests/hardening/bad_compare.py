@@ -129,7 +129,7 @@ def _of_shapes() -> Iterator[BadCase]:
 
 
 def _of_records() -> Iterator[BadCase]:
-    record = Record(CASE, "0" * 16, "done")
+    record = Record(CASE, "0" * 16, "Failed.", failed=True)
     yield from refusals(
         "report", "records", [("none", []), ("None", None), ("words", ["a"])], lambda r: compare.report(r, "a.html")
     )
