@@ -356,7 +356,7 @@ def _exit_code(test: str, tree: Path) -> int:
             os.dup2(nowhere.fileno(), 1)
             os.dup2(nowhere.fileno(), 2)
         signal.alarm(SECONDS_A_TEST)
-        code = int(pytest.main(["-q", "-x", "-p", "no:cacheprovider", test]))
+        code = int(pytest.main(["-q", "-x", "-n", "0", "-p", "no:cacheprovider", test]))
     finally:
         os._exit(code)
 
