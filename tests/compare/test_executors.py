@@ -1,12 +1,14 @@
 """Where a study runs changes nothing but its times; what becomes of a worker that is killed."""
 
+import json
 import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import pytest
-import torch
 
 import implicit
 import implicit.shapes
@@ -35,15 +37,24 @@ def cases(tmp_path_factory):
     ]
 
 
+ONE_PROCESS = """
+import json, sys, torch
+from compare import Case, run_cases
+torch.set_num_threads(1)  # as workers have: sums over several threads differ in their last digits
+run_cases([Case.from_dict(row) for row in json.load(sys.stdin)], folder=sys.argv[1])
+"""
+
+
 @pytest.fixture(scope="module")
 def in_process(cases, tmp_path_factory):
-    """What the cases give here, one after another."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)  # as workers have: sums over several threads differ in their last digits
-    try:
-        return run_cases(cases, folder=tmp_path_factory.mktemp("here"))
-    finally:
-        torch.set_num_threads(threads)
+    """What the cases give in one process, one after another.
+
+    In a fresh one: where the memory of arrays begins decides last digits, and that of the tests has a history.
+    """
+    folder = tmp_path_factory.mktemp("here")
+    rows = json.dumps([case.to_dict() for case in cases])
+    subprocess.run([sys.executable, "-c", ONE_PROCESS, folder], input=rows, text=True, check=True)
+    return read(folder)
 
 
 def without_times(record):
