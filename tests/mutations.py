@@ -129,7 +129,7 @@ IMPLICIT = [
     ("mean curvature without the normal's part", "field",
      '- torch.einsum("ni,nij,nj->n", n, hessians, n)) / length',
      '+ torch.einsum("ni,nij,nj->n", n, hessians, n)) / length',
-     "functionals::mean_curvature_of_a_torus_is_the_sum_of_the_principal_ones"),
+     "functionals::mean_curvature_does_not_ask_for_a_distance"),
     ("level of an occupancy", "field",
      "- self.level) * self.sign", "+ self.level) * self.sign",
      "field::inside_is_negative_for_an_occupancy"),

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from implicit import Area, SurfaceIntegral, Volume, VolumeIntegral, integrate, shapes, surface_quadrature
+from implicit import Area, Field, SurfaceIntegral, Volume, VolumeIntegral, integrate, shapes, surface_quadrature
 from implicit.functionals import volume_terms
 
 
@@ -60,6 +60,21 @@ def test_mean_curvature_of_a_torus_is_the_sum_of_the_principal_ones():
     # 1/r along the tube, cos(v) / (R + r cos(v)) around it.
     expected = 1 / 0.2 + ((ring - 0.6) / 0.2) / ring
     torch.testing.assert_close(field.mean_curvature(sample.points), expected, rtol=1e-7, atol=1e-7)
+
+
+def test_mean_curvature_does_not_ask_for_a_distance():
+    """f = |x|^2 - r^2, whose second derivative along the normal is not zero: 2/r all the same."""
+
+    class Quadric(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.radius = torch.nn.Parameter(torch.tensor(0.5, dtype=torch.float64))
+
+        def forward(self, x):
+            return x.square().sum(dim=1) - self.radius**2
+
+    points = 0.5 * torch.nn.functional.normalize(torch.randn(20, 3, dtype=torch.float64), dim=1)
+    torch.testing.assert_close(Field(Quadric()).mean_curvature(points), torch.full_like(points[:, 0], 4.0))
 
 
 def test_mean_curvature_of_a_circle_is_one_over_r():

@@ -167,7 +167,8 @@ def test_rigid_motions_of_the_handles_move_everything_rigidly(form, method, solv
     np.testing.assert_allclose(result.displacement, motion, atol=1e-9)
     assert result.status is KillingStatus.SOLVED
     assert result.handle_error < 1e-9
-    assert result.energy < 1e-12
+    stretch = killing_energy(V, F, np.abs(motion).max() * (V - V.mean(axis=0)))
+    assert result.energy < 1e-14 * stretch  # the rounding of the sum of squares of numbers as large
     assert result.solver == solver
     assert set(result.seconds) == {"assembly", "factorisation", "solve"}
 
