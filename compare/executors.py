@@ -153,7 +153,7 @@ class _Worker:
         """
         self._pipe.send_bytes(content)
         answer = self._pipe.recv_bytes()
-        return pickle.loads(answer)
+        return pickle.loads(answer)  # of a child of this process, over a pipe that no other has
 
     def end(self) -> None:
         """Let it go when it is done."""

@@ -39,14 +39,14 @@ from implicit.tangential import CosineFeatures, TangentialModel
 
 # Damping of a step relative to the trace of its normal matrix. Ten times less lets ripples in, which cost strain as
 # soon as a motion is not small; ten times more holds the surface back. What is not linear in a step falls with the
-# square of its motion, so the damping falls with the motion, down to a tenth: from where handles go further than SMALL
-# of the field's size.
+# square of its motion, so where handles go less far than SMALL of the field's size the damping falls with the motion,
+# down to the share LEAST.
 DAMPING = 1e-8
 SMALL = 0.004
 LEAST = 0.1
 
 # Of the energy off the surface beside the strain. It costs a small motion less than half a per cent of tangential
-# energy. Without it stray pieces stand round a bar twisted by 135 degrees; ten times as much changes nothing more.
+# energy. Without it stray pieces stand round a bar twisted by 135 degrees.
 OFF_SURFACE_STRENGTH = 0.3
 
 

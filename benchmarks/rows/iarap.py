@@ -8,7 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import torch
 from rows import table
-from rows.table import best, row
+from rows.rigid import our_pull
+from rows.table import row
 
 import implicit
 import meshref
@@ -22,14 +23,7 @@ def by_iarap(shape: str = "spot", seconds: float = 60.0) -> None:
     """
     from iarap.energy import arap_energy
 
-    from compare import Case, default_cases, prepare_subject
-    from compare.operations import edit_field, wanted_motion
-
-    subject = prepare_subject(Case(shape, "smooth"))
-    (case,) = default_cases(shape, subject.V, subject.N, operations=("rigid",))
-    wanted = wanted_motion(case, subject)
-    edit_field(case, subject)  # imports
-    ((ours_s, ours),) = best(lambda: edit_field(case, subject), repeats=1)
+    case, subject, wanted, ours_s, ours = our_pull(shape)
     V, F = subject.V, subject.F
 
     def judged(D: np.ndarray) -> tuple[float, float]:

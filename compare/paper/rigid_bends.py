@@ -169,7 +169,10 @@ def _bar(request: Request) -> str:
 def _findings(bend: _Bend) -> list[Finding]:
     V, F = bend.subject.V, bend.subject.F
     status = bend.free.status.value
-    mesh = meshref.volume(bend.arap, F) / meshref.volume(V, F) - 1
+
+    def grown(U: Float[ndarray, "n 3"]) -> float:
+        return meshref.volume(U, F) / meshref.volume(V, F) - 1
+
     apart, change = "Hausdorff distance to the mesh's ARAP [of the longest side]", "change of volume [of that before]"
     rows = [
         (f"neural: {apart}", bend.distance(bend.free), status),
@@ -177,8 +180,8 @@ def _findings(bend: _Bend) -> list[Finding]:
         (f"mesh, Killing steps: {apart}", bend.from_arap(bend.killing, F), ""),
         (f"neural: {change}", bend.volume_change(bend.free), ""),
         (f"neural, volume held: {change}", bend.volume_change(bend.held), ""),
-        (f"mesh, ARAP: {change}", mesh, ""),
-        (f"mesh, Killing steps: {change}", meshref.volume(bend.killing, F) / meshref.volume(V, F) - 1, ""),
+        (f"mesh, ARAP: {change}", grown(bend.arap), ""),
+        (f"mesh, Killing steps: {change}", grown(bend.killing), ""),
     ]
     return [Finding("rigid_bends", f"{bend.what}; {what}", value, note=note) for what, value, note in rows]
 
