@@ -1,6 +1,7 @@
 """What a step minimises: each energy gives rows of the least squares over the unknowns of a deformation space.
 
     E_C = int w (n . D - target)^2          reach a prescribed normal displacement       [paper, eq. 4, 5]
+    int w (df / scale - target)^2           change the field itself, on the surface or off it
     E_C = int w |D - target|^2              the same for whole vectors
     int w |grad_surface (n . D)|^2          keep the motion even                          [section 4.4, implicit]
     E_K = int |J + J^T|^2                   stay rigid: zero for Killing fields           [paper, section 4.3]
@@ -20,6 +21,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.deformation import DeformationSpace
+from implicit.field import Field
 from implicit.plain import is_plain, plain_gram
 from implicit.sensitivity import adjoint, normal_displacement
 from implicit.solve import Operator, Rows
@@ -44,19 +46,66 @@ class NormalTarget:
         for where, matrix in space.normal_rows(self.points):
             yield Rows(matrix, self.target[where], self.weights[where])
 
+    def of_field(self, field: Field) -> FieldTarget:
+        """The same as changes of the field: a surface point moves outward by -df / |df/dx|."""
+        lengths = field.gradient_length(field.gradient(self.points))
+        return FieldTarget(self.points, self.target, self.weights, -lengths)
+
+
+@dataclass(frozen=True, eq=False)
+class FieldTarget:
+    """int w (df / scale + u(tied) - target)^2: how the field itself is to change at points anywhere.
+
+    Args:
+        points: Anywhere in the bounds, (N, D).
+        target: Wanted change of f over the scale, a length if the scale is that of |df/dx|.
+        weights: Of the points.
+        scale: Units of f to a length (N,).
+        tied: Points of the surface (N, D) whose outward motion u is added to the change; None adds nothing.
+    """
+
+    points: Float[Tensor, "n d"]
+    target: Float[Tensor, " n"]
+    weights: Float[Tensor, " n"]
+    scale: Float[Tensor, " n"]
+    tied: Float[Tensor, "n d"] | None = None
+
+    def rows(self, space: DeformationSpace) -> Iterator[Rows]:
+        for where, matrix in space.value_rows(self.points):
+            rows = matrix.div_(self.scale[where, None])
+            if self.tied is not None:
+                rows += torch.cat([part for _, part in space.normal_rows(self.tied[where])])
+            yield Rows(rows, self.target[where], self.weights[where])
+
     def operator(self, space: DeformationSpace) -> Operator:
         """The same equations by their products, for networks whose rows do not fit in memory."""
         field, p = space.field, space.parameters
-        lengths = field.gradient_length(field.gradient(self.points))
+
+        def forward(x: Tensor) -> Tensor:
+            change = normal_displacement(field, self.points, x[:p], -self.scale)
+            return change if self.tied is None else change + normal_displacement(field, self.tied, x[:p])
 
         def back(weights: Tensor) -> Tensor:
-            theta = adjoint(field, self.points, weights, lengths)
+            theta = adjoint(field, self.points, weights, -self.scale)
+            if self.tied is not None:
+                theta = theta + adjoint(field, self.tied, weights)
             return torch.cat([theta, theta.new_zeros(space.size - p)])
 
-        gram = partial(plain_gram, field, self.points, 1 / lengths) if is_plain(field) else None
-        return Operator(
-            lambda x: normal_displacement(field, self.points, x[:p], lengths), back, self.target, self.weights, gram
+        gram = (
+            partial(plain_gram, field, self.points, 1 / self.scale) if self.tied is None and is_plain(field) else None
         )
+        return Operator(forward, back, self.target, self.weights, gram)
+
+
+def united(field: Field, energies: Iterable[NormalTarget | FieldTarget]) -> list[FieldTarget]:
+    """The same targets in as few as can be: those that are tied to nothing become one, whose Gram matrix is known."""
+    targets = [energy.of_field(field) if isinstance(energy, NormalTarget) else energy for energy in energies]
+    free = [target for target in targets if target.tied is None]
+    tied = [target for target in targets if target.tied is not None]
+    if len(free) > 1:
+        parts = zip(*((part.points, part.target, part.weights, part.scale) for part in free), strict=True)
+        free = [FieldTarget(*(torch.cat(part) for part in parts))]
+    return free + tied
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,63 +11,15 @@ The weight w counts errors relative to the distance: far away only the sign matt
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from implicit.deformation import DeformationSpace
+from implicit.energies import FieldTarget
 from implicit.field import Field
-from implicit.sensitivity import adjoint, normal_displacement
-from implicit.solve import Operator, Rows
 from implicit.surface import SurfaceSample
 
 NEAR = 1 / 20  # of the field's size: up to here errors count fully
-
-
-@dataclass(frozen=True, eq=False)
-class FieldTarget:
-    """int w (df / scale + u(tied) - target)^2: how the field itself is to change at points anywhere.
-
-    Args:
-        points: Anywhere in the bounds, (N, D).
-        target: Wanted change of f over the scale, a length if the scale is that of |df/dx|.
-        weights: Of the points.
-        scale: Units of f to a length.
-        tied: Points of the surface (N, D) whose outward motion u is added to the change; None adds nothing.
-    """
-
-    points: Float[Tensor, "n d"]
-    target: Float[Tensor, " n"]
-    weights: Float[Tensor, " n"]
-    scale: float
-    tied: Float[Tensor, "n d"] | None = None
-
-    def rows(self, space: DeformationSpace) -> Iterator[Rows]:
-        for where, matrix in space.value_rows(self.points):
-            rows = matrix.div_(self.scale)
-            if self.tied is not None:
-                rows += torch.cat([part for _, part in space.normal_rows(self.tied[where])])
-            yield Rows(rows, self.target[where], self.weights[where])
-
-    def operator(self, space: DeformationSpace) -> Operator:
-        """The same equations by their products, for networks whose rows do not fit in memory."""
-        field, p = space.field, space.parameters
-        lengths = torch.full_like(self.target, -self.scale)  # a normal motion is -df / |df/dx|
-
-        def forward(x: Tensor) -> Tensor:
-            change = normal_displacement(field, self.points, x[:p], lengths)
-            return change if self.tied is None else change + normal_displacement(field, self.tied, x[:p])
-
-        def back(weights: Tensor) -> Tensor:
-            theta = adjoint(field, self.points, weights, lengths)
-            if self.tied is not None:
-                theta = theta + adjoint(field, self.tied, weights)
-            return torch.cat([theta, theta.new_zeros(space.size - p)])
-
-        return Operator(forward, back, self.target, self.weights)
 
 
 def off_surface(
@@ -112,4 +64,4 @@ def off_surface(
     weights = (near / (near + distance)).square() * (strength / field.size)
     weights[:m] *= float(sample.weights.sum()) * 2 * near / m
     weights[m:] *= float((upper - lower).prod()) / (points - m)
-    return FieldTarget(y, target, weights, scale, tied)
+    return FieldTarget(y, target, weights, torch.full_like(target, scale), tied)

@@ -11,10 +11,9 @@ from torch import Tensor
 
 from implicit.deformation import DeformationSpace
 from implicit.edit import Row
-from implicit.energies import Energy, NormalTarget
+from implicit.energies import Energy, FieldTarget, NormalTarget, united
 from implicit.extraction import newton_to_surface
 from implicit.field import Field
-from implicit.offsurface import FieldTarget
 from implicit.plain import is_plain
 from implicit.solve import DENSE_LIMIT, LeastSquares
 from implicit.surface import MeshedSample, SurfaceSample
@@ -82,6 +81,7 @@ def assemble(problem: StepProblem) -> LeastSquares:
     # A sketch of the spectrum costs as many products as it has columns, each a forward and a backward pass: here
     # plain conjugate gradients are through with less. Each step sees what the last one missed, so 1e-4 is enough.
     system = LeastSquares(space.size, space.field.theta, rank=0, tolerance=1e-4)
+    targets: list[NormalTarget | FieldTarget] = []
     for energy in energies:
         if not isinstance(energy, (NormalTarget, FieldTarget)):
             raise ValueError(
@@ -89,16 +89,22 @@ def assemble(problem: StepProblem) -> LeastSquares:
                 f"can be solved for, but the step has a {type(energy).__name__} energy. Edit fewer parameters "
                 '(Field(parameters=...)), or smooth with method="explicit".'
             )
-        system.add_operator(energy.operator(space))
+        targets.append(energy)
+    for target in united(space.field, targets):
+        system.add_operator(target.operator(space))
     return system
 
 
 def _is_cheaper_by_products(problem: StepProblem) -> bool:
-    """Whether there is one target along the normal, at fewer points than unknowns, of a plain network.
+    """Whether all are targets of a plain network's field, at fewer points than unknowns and tied to nothing.
 
-    The products of its rows with each other then come from those of the layers (implicit.plain).
+    The products of their rows with each other then come from those of the layers (implicit.plain).
     """
-    space, energies = problem.space, problem.energies
-    if len(energies) != 1 or not isinstance(energies[0], NormalTarget) or space.directions is not None:
+    space, count = problem.space, 0
+    if space.directions is not None or not is_plain(space.field):
         return False
-    return len(energies[0].points) < space.size and is_plain(space.field)
+    for energy in problem.energies:
+        if not isinstance(energy, (NormalTarget, FieldTarget)) or getattr(energy, "tied", None) is not None:
+            return False
+        count += len(energy.target)
+    return count < space.size

@@ -11,7 +11,7 @@ from implicit import shapes
 from implicit.deformation import DeformationSpace
 from implicit.energies import NormalTarget
 from implicit.sensitivity import normal_displacement
-from implicit.solve import LeastSquares
+from implicit.step import StepProblem, assemble
 
 
 def edit_step() -> None:
@@ -42,9 +42,8 @@ def edit_step() -> None:
         return torch.linalg.lstsq(stacked, wanted[:, None], driver="gels").solution[:, 0]
 
     def ours() -> torch.Tensor:
-        space = DeformationSpace(field)
-        system = LeastSquares(space.size, field.theta)
-        system.add_operator(NormalTarget(even.points, target(even.points), even.weights).operator(space))
+        reach = NormalTarget(even.points, target(even.points), even.weights)
+        system = assemble(StepProblem(DeformationSpace(field), [reach]))
         return system.solve(0.1 * damping * float(even.weights.sum()) / 10_000).x
 
     def error(x: torch.Tensor) -> float:

@@ -11,7 +11,7 @@ from implicit.deformation import DeformationSpace
 from implicit.energies import NormalTarget
 from implicit.models import DeepSdf
 from implicit.sensitivity import basis
-from implicit.solve import LeastSquares
+from implicit.step import StepProblem, assemble
 
 
 def floor() -> None:
@@ -25,10 +25,8 @@ def floor() -> None:
         product = (lambda B=B: B @ B.T) if points < B.shape[1] else (lambda B=B: B.T @ B)
 
         def step(sample: implicit.SurfaceSample = sample, target: torch.Tensor = target) -> object:
-            space = DeformationSpace(field)
-            system = LeastSquares(space.size, field.theta)
-            system.add_operator(NormalTarget(sample.points, target, sample.weights).operator(space))
-            return system.solve(1e-5)
+            reach = NormalTarget(sample.points, target, sample.weights)
+            return assemble(StepProblem(DeformationSpace(field), [reach])).solve(1e-5)
 
         step()
         (least, _), (spent, _) = best(product, step)
@@ -50,11 +48,8 @@ def semantic() -> None:
         return torch.autograd.grad(decoder(x, codes).sum(), (x, codes))
 
     def step() -> object:
-        space = DeformationSpace(field)
-        system = LeastSquares(space.size, field.theta)
-        for rows in NormalTarget(points, target, torch.ones(100)).rows(space):
-            system.add(rows)
-        return system.solve(0.1)
+        reach = NormalTarget(points, target, torch.ones(100))
+        return assemble(StepProblem(DeformationSpace(field), [reach])).solve(0.1)
 
     one_pass(), step()
     (least, _), (spent, _) = best(one_pass, step, repeats=7)

@@ -28,7 +28,8 @@ def scaling() -> None:
         cells = []
         for field in fields:
             sample = implicit.sample_surface(field, n, resolution=32)
-            operator = NormalTarget(sample.points, sample.weights, sample.weights).operator(DeformationSpace(field))
+            target = NormalTarget(sample.points, sample.weights, sample.weights).of_field(field)
+            operator = target.operator(DeformationSpace(field))
             x = torch.ones_like(field.theta)
             operator.forward(x)  # the first call of a network loads what later ones need
             start = time.perf_counter()

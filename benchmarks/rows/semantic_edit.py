@@ -13,7 +13,7 @@ from implicit import families
 from implicit.deformation import DeformationSpace
 from implicit.energies import NormalTarget
 from implicit.models import DeepSdf
-from implicit.solve import LeastSquares
+from implicit.step import StepProblem, assemble
 
 DAMPING = 0.1
 LEFT = 0.05  # of the way, where both stop
@@ -29,11 +29,8 @@ def semantic_step() -> None:
     damping = DAMPING / float(slope) ** 2  # random weights have small slopes, and large steps for their code
 
     def ours() -> torch.Tensor:
-        space = DeformationSpace(field)
-        system = LeastSquares(space.size, field.theta)
-        for rows in NormalTarget(points, wanted, torch.ones(100)).rows(space):
-            system.add(rows)
-        return system.solve(damping).x
+        reach = NormalTarget(points, wanted, torch.ones(100))
+        return assemble(StepProblem(DeformationSpace(field), [reach])).solve(damping).x
 
     def theirs() -> torch.Tensor:
         return published_step(field, field.theta, points, lambda _: wanted, damping)[0]

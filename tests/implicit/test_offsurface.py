@@ -2,11 +2,16 @@
 
 import pytest
 import torch
+from torch.nn.functional import normalize
 
-from implicit import sample_surface, shapes
+from implicit import Along, Ball, Field, Handle, Siren, geometric_edit, sample_surface, shapes
 from implicit.deformation import DeformationSpace
+from implicit.energies import NormalTarget
+from implicit.models import Mlp
 from implicit.offsurface import off_surface
-from implicit.solve import LeastSquares
+from implicit.solve import DENSE_LIMIT, LeastSquares
+from implicit.step import StepProblem, assemble
+from implicit.surface import SurfaceSample
 
 
 def solved(field, energy):
@@ -53,6 +58,38 @@ def test_the_products_are_those_of_the_rows(wobbly, motion):
     x, y = torch.randn(space.size, dtype=torch.float64), torch.randn(20, dtype=torch.float64)
     torch.testing.assert_close(operator.forward(x), rows.matrix @ x)
     torch.testing.assert_close(operator.adjoint(y), rows.matrix.T @ y)
+
+
+def test_targets_on_the_surface_and_off_it_unite_to_the_same_step():
+    """By the products of the layers, of both kinds of points together, as by the rows of each."""
+    torch.manual_seed(0)
+    field = Field(Siren(width=24, depth=2).to(torch.float64))
+    points = 1.6 * torch.rand(40, 3, dtype=torch.float64) - 0.8
+    sample = SurfaceSample(points, field.normal(points), torch.rand(40, dtype=torch.float64) + 0.5)
+    motion = 0.02 * torch.randn(40, dtype=torch.float64)
+    energies = [NormalTarget(points, motion, sample.weights), off_surface(field, sample, motion, points=30)]
+    together = assemble(StepProblem(DeformationSpace(field), energies))
+    apart = LeastSquares(len(field.theta), field.theta, method="qr")
+    for energy in energies:
+        for rows in energy.rows(DeformationSpace(field)):
+            apart.add(rows)
+    ours, truth = (system.solve(1e-6) for system in (together, apart))
+    assert ours.method == "dual"
+    torch.testing.assert_close(ours.x, truth.x, rtol=1e-6, atol=1e-9)
+    assert ours.objective == pytest.approx(truth.objective, rel=1e-6)
+
+
+def test_a_large_network_at_few_points_is_solved_among_the_points():
+    """The default edit of 33,665 parameters, whose dense normal matrix nobody wants, has no need of iterations."""
+    torch.manual_seed(0)
+    module = Mlp(width=128, depth=3)
+    with torch.no_grad():
+        level = float(module(0.5 * normalize(torch.randn(500, 3))).median())
+    field = Field(module, level=level)
+    bump = Handle(Ball((0.0, 0.5, 0.0), 0.3), Along(0.01))
+    edit = geometric_edit(field, bump, parts=1, points=300, resolution=24)
+    assert len(field.theta) > DENSE_LIMIT
+    assert edit.history[0]["method"] == "dual"
 
 
 def test_a_distorted_distance_is_restored():
