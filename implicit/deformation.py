@@ -52,12 +52,17 @@ class Frame:
     @cached_property
     def axes(self) -> Float[Tensor, "n d d"]:
         """Rows: an orthonormal basis of the tangent plane, then the normal."""
-        n = self.normals
-        if n.shape[1] == 2:
-            return torch.stack([torch.stack([-n[:, 1], n[:, 0]], dim=1), n], dim=1)
-        least = torch.nn.functional.one_hot(n.abs().argmin(dim=1), 3).to(n)
-        first = torch.nn.functional.normalize(torch.linalg.cross(n, least), dim=1)
-        return torch.stack([first, torch.linalg.cross(n, first), n], dim=1)
+        return axes_of(self.normals)
+
+
+def axes_of(normals: Float[Tensor, "n d"]) -> Float[Tensor, "n d d"]:
+    """Rows: an orthonormal basis of the tangent plane, then the normal."""
+    n = normals
+    if n.shape[1] == 2:
+        return torch.stack([torch.stack([-n[:, 1], n[:, 0]], dim=1), n], dim=1)
+    least = torch.nn.functional.one_hot(n.abs().argmin(dim=1), 3).to(n)
+    first = torch.nn.functional.normalize(torch.linalg.cross(n, least), dim=1)
+    return torch.stack([first, torch.linalg.cross(n, first), n], dim=1)
 
 
 class DeformationSpace:
@@ -104,57 +109,45 @@ class DeformationSpace:
             moved = moved + slide - n * (n * slide).sum(dim=1, keepdim=True)
         return moved
 
-    def normal_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k s"]]]:
-        """n . D as rows over the unknowns, in blocks of points."""
+    def normal_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k p"]]]:
+        """n . D as rows over the unknowns of the normal part, in blocks of points."""
         start = 0
         for part in row_blocks(points, self.size):
             length = self.field.gradient_length(self.field.gradient(part))
             rows = self.reduced(parameter_gradient(self.field, part).div_(-length[:, None]))
-            if self.size > self.parameters:
-                rows = torch.cat([rows, rows.new_zeros(len(part), self.size - self.parameters)], dim=1)
             yield slice(start, start + len(part)), rows
             start += len(part)
 
-    def value_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k s"]]]:
-        """The change of f itself, at points anywhere, as rows over the unknowns, in blocks of points."""
+    def value_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k p"]]]:
+        """The change of f itself, at points anywhere, as rows over the unknowns of the normal part, in blocks."""
         start = 0
         for part in row_blocks(points, self.size):
-            rows = self.reduced(parameter_gradient(self.field, part))
-            if self.size > self.parameters:
-                rows = torch.cat([rows, rows.new_zeros(len(part), self.size - self.parameters)], dim=1)
-            yield slice(start, start + len(part)), rows
+            yield slice(start, start + len(part)), self.reduced(parameter_gradient(self.field, part))
             start += len(part)
 
     def normal_slope_rows(
         self, points: Float[Tensor, "n d"]
-    ) -> Iterator[tuple[slice, Float[Tensor, "k t d"], Float[Tensor, "k t s"]]]:
-        """Tangent axes (one in the plane, two in space), and the slopes of n . D along them as rows."""
+    ) -> Iterator[tuple[slice, Float[Tensor, "k t d"], Float[Tensor, "k t p"]]]:
+        """Tangent axes (one in the plane, two in space), and the slopes of n . D along them as rows, as normal_rows."""
         start = 0
         for part in row_blocks(points, 2 * self.field.dimension * self.size):
             frame = Frame.at(self.field, part)
             _, du = speed_and_slope(self.field, frame)
             rows = self.reduced(torch.einsum("nai,nip->nap", frame.axes[:, :-1], du))
-            if self.size > self.parameters:
-                rows = torch.cat([rows, rows.new_zeros(*rows.shape[:2], self.size - self.parameters)], dim=2)
             yield slice(start, start + len(part)), frame.axes[:, :-1], rows
             start += len(part)
 
-    def vector_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k d s"]]]:
-        """All coordinates of D as rows over the unknowns, in blocks of points."""
+    def tangent_rows(
+        self, points: Float[Tensor, "n d"]
+    ) -> Iterator[tuple[slice, Float[Tensor, "k t d"], Float[Tensor, "k t c"]]]:
+        """Tangent axes, and D along them as rows over the tangential coefficients (none without a tangential part)."""
         start = 0
-        dimension = self.field.dimension
-        for part in row_blocks(points, dimension * self.size):
-            gradients = self.field.gradient(part)
-            length = self.field.gradient_length(gradients)
-            n = gradients / length[:, None]
-            speed = self.reduced(parameter_gradient(self.field, part) / -length[:, None])
-            rows = n[:, :, None] * speed[:, None, :]
+        for part in row_blocks(points, self.field.dimension * self.size):
+            axes = axes_of(self.field.normal(part))[:, :-1]
+            rows = axes.new_zeros(*axes.shape[:2], 0)
             if self.tangential is not None:
-                phi = self.tangential.values(part)
-                flat = torch.eye(dimension, dtype=n.dtype, device=n.device) - n[:, :, None] * n[:, None, :]
-                slide = (flat[:, :, :, None] * phi[:, None, None, :]).flatten(2)
-                rows = torch.cat([rows, slide], dim=2)
-            yield slice(start, start + len(part)), rows
+                rows = (axes[:, :, :, None] * self.tangential.values(part)[:, None, None, :]).flatten(2)
+            yield slice(start, start + len(part)), axes, rows
             start += len(part)
 
     def strain_rows(

@@ -117,10 +117,14 @@ class VectorTarget:
     weights: Float[Tensor, " n"]
 
     def rows(self, space: DeformationSpace) -> Iterator[Rows]:
-        dimension = self.points.shape[1]
-        for where, matrix in space.vector_rows(self.points):
-            weights = self.weights[where].repeat_interleave(dimension)
-            yield Rows(matrix.flatten(0, 1), self.target[where].reshape(-1), weights)
+        # Along the normal the parameters alone move the points, along the surface the tangential functions alone.
+        for where, matrix in space.normal_rows(self.points):
+            along = (self.target[where] * space.field.normal(self.points[where])).sum(dim=1)
+            yield Rows(matrix, along, self.weights[where])
+        for where, axes, matrix in space.tangent_rows(self.points):
+            along = torch.einsum("nai,ni->na", axes, self.target[where])
+            weights = self.weights[where].repeat_interleave(along.shape[1])
+            yield Rows(matrix.flatten(0, 1), along.flatten(), weights, space.parameters)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +194,7 @@ def total_energy(energies: Iterable[Energy], space: DeformationSpace, x: Float[T
     """The value of some energies at a displacement, without solving."""
     return float(
         sum(
-            (rows.weights * (rows.matrix @ x[rows.first :] - rows.target) ** 2).sum()
+            (rows.weights * (rows.matrix @ x[rows.columns] - rows.target) ** 2).sum()
             for energy in energies
             for rows in energy.rows(space)
         )

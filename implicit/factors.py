@@ -17,6 +17,7 @@ from typing import Protocol
 
 import torch
 from jaxtyping import Float
+from scipy.linalg import lapack
 from torch import Tensor
 
 
@@ -34,6 +35,45 @@ class Factor(Protocol):
 
     def rank(self) -> float:
         """trace of A^T W A H^-1, the number of unknowns that the equations decide; an estimate."""
+
+
+class Cholesky:
+    """Triangular factor of a symmetric positive definite matrix, and its inverse.
+
+    On the CPU by LAPACK as scipy calls it, in place: torch copies the matrix into its order before it factors it, and
+    the factor again for each solve.
+    """
+
+    def __init__(self, factor: Float[Tensor, "n n"]) -> None:
+        self._factor = factor  # of its lower triangle only
+
+    @classmethod
+    def of(cls, matrix: Float[Tensor, "n n"]) -> Cholesky | None:
+        """From the lower triangle of a float64 matrix, which is used up; None if it is not positive definite."""
+        if len(matrix) == 0 or matrix.device.type != "cpu":
+            factor, info = torch.linalg.cholesky_ex(matrix)
+            return cls(factor) if int(info) == 0 else None
+        # The transpose is a Fortran-ordered view; the upper triangle there is the lower one here.
+        result, info = lapack.dpotrf(matrix.numpy().T, lower=0, clean=0, overwrite_a=1)
+        return cls(torch.from_numpy(result.T)) if info == 0 else None
+
+    def __len__(self) -> int:
+        return len(self._factor)
+
+    @property
+    def device(self) -> torch.device:
+        return self._factor.device
+
+    def solve(self, right: Float[Tensor, "n m"]) -> Float[Tensor, "n m"]:
+        """The inverse of the matrix times the columns."""
+        if len(self) == 0 or self.device.type != "cpu":
+            return torch.cholesky_solve(right, self._factor)
+        solution, _ = lapack.dpotrs(self._factor.numpy().T, right.numpy(), lower=0)
+        return torch.from_numpy(solution)
+
+    def condition(self) -> float:
+        """An estimate, from below, of the condition of the matrix."""
+        return _condition(self._factor)
 
 
 class _FromRight:
@@ -63,21 +103,21 @@ class Primal(_Direct):
 
     name = "primal"
 
-    def __init__(self, factor: Tensor, ridge: Tensor, seed: int) -> None:
+    def __init__(self, factor: Cholesky, ridge: Tensor, seed: int) -> None:
         super().__init__(ridge, seed)
         self._factor = factor
-        self.condition = _condition(factor)
+        self.condition = factor.condition()
 
     @classmethod
     def of(cls, normal: Float[Tensor, "n n"], ridge: Float[Tensor, " n"], seed: int) -> Primal | None:
         """From the lower triangle of A^T W A; None where it is not positive definite with so little damping."""
         damped = normal.to(torch.float64, copy=True)
         damped.diagonal().add_(ridge)
-        factor, info = torch.linalg.cholesky_ex(damped)
-        return cls(factor, ridge, seed) if int(info) == 0 else None
+        factor = Cholesky.of(damped)
+        return None if factor is None else cls(factor, ridge, seed)
 
     def inverse(self, right: Tensor) -> Tensor:
-        return torch.cholesky_solve(right, self._factor)
+        return self._factor.solve(right)
 
 
 class Qr(_Direct):
@@ -113,14 +153,14 @@ class Dual(_FromRight):
 
     def __init__(
         self,
-        factor: Tensor,
+        factor: Cholesky,
         forward: Callable[[Tensor], Tensor],
         adjoint: Callable[[Tensor], Tensor],
         ridge: Tensor,
         seed: int,
     ) -> None:
         self._factor, self._forward, self._adjoint, self._ridge, self._seed = factor, forward, adjoint, ridge, seed
-        self.condition = _condition(factor) if len(factor) else 1.0
+        self.condition = factor.condition() if len(factor) else 1.0
 
     @classmethod
     def of(
@@ -138,22 +178,22 @@ class Dual(_FromRight):
         """
         damped = gram.clone()
         damped.diagonal().add_(1.0)
-        factor, info = torch.linalg.cholesky_ex(damped)
-        return cls(factor, forward, adjoint, ridge, seed) if int(info) == 0 else None
+        factor = Cholesky.of(damped)
+        return None if factor is None else cls(factor, forward, adjoint, ridge, seed)
 
     def minimiser(self, right: Tensor, target: Tensor) -> Tensor:
-        return self._adjoint(torch.cholesky_solve(target[:, None], self._factor)[:, 0]) / self._ridge
+        return self._adjoint(self._factor.solve(target[:, None])[:, 0]) / self._ridge
 
     def inverse(self, right: Tensor) -> Tensor:
         scaled = right / self._ridge[:, None]
         image = torch.stack([self._forward(column) for column in scaled.T], dim=1)
-        inner = torch.cholesky_solve(image, self._factor)
+        inner = self._factor.solve(image)
         return scaled - torch.stack([self._adjoint(column) for column in inner.T], dim=1) / self._ridge[:, None]
 
     def rank(self) -> float:
         # Of the same trace, taken among the equations: their products with the unknowns may be passes of a network.
         k = len(self._factor)
-        lost = _trace(k, lambda z: torch.cholesky_solve(z, self._factor), self._factor, self._seed)
+        lost = _trace(k, self._factor.solve, self._ridge, self._seed)
         return min(float(k), max(0.0, k - lost))
 
 

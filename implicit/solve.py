@@ -36,12 +36,21 @@ DENSE_LIMIT = 8000
 
 
 class Rows(NamedTuple):
-    """A block of weighted equations matrix @ x[first:] = target, of the unknowns from `first` up to the last."""
+    """A block of weighted equations matrix @ x[first : first + m] = target, which leave the other unknowns out."""
 
-    matrix: Float[Tensor, "k n"]
+    matrix: Float[Tensor, "k m"]
     target: Float[Tensor, " k"]
     weights: Float[Tensor, " k"]
     first: int = 0
+
+    @property
+    def columns(self) -> slice:
+        """Of which unknowns they are."""
+        return slice(self.first, self.first + self.matrix.shape[1])
+
+    def rooted(self) -> Float[Tensor, "k m"]:
+        """W^1/2 A."""
+        return self.matrix * self.weights.sqrt()[:, None]
 
 
 class Operator(NamedTuple):
@@ -131,9 +140,7 @@ class LeastSquares:
 
     def add(self, rows: Rows) -> None:
         """Add a block of weighted equations."""
-        if rows.first > 0 and self._normal is None:
-            rows = rows._replace(matrix=torch.nn.functional.pad(rows.matrix, (rows.first, 0)), first=0)
-        self._right[rows.first :] += (rows.matrix.T @ (rows.weights * rows.target)).double()
+        self._right[rows.columns] += (rows.matrix.T @ (rows.weights * rows.target)).double()
         self._count(rows)
         if self._normal is None:
             self._kept.append(rows)
@@ -171,11 +178,10 @@ class LeastSquares:
 
     def _accumulate(self, rows: Rows) -> None:
         assert self._normal is not None
-        weighted = rows.matrix * rows.weights.sqrt()[:, None]
-        if rows.first == 0:
-            add_gram(self._normal, weighted)
-        else:
-            self._normal[rows.first :, rows.first :] += _gram(weighted.T)
+        if rows.matrix.shape[1] == self.size:
+            add_gram(self._normal, rows.rooted())
+        elif rows.matrix.numel() > 0:
+            self._normal[rows.columns, rows.columns] += _gram(rows.rooted().T)
 
     def trace(self) -> float:
         """Trace of the normal matrix, the scale that a relative damping refers to."""
@@ -196,14 +202,14 @@ class LeastSquares:
             return self._normal.diagonal().double()
         total = torch.zeros_like(self._right)
         for rows in self._kept:
-            total += (rows.weights[:, None] * rows.matrix**2).sum(dim=0).double()
+            total[rows.columns] += (rows.weights[:, None] * rows.matrix**2).sum(dim=0).double()
         return total
 
     def _apply(self, x: Tensor) -> Tensor:
         """The normal matrix times x."""
         total = torch.zeros_like(x)
         for rows in self._kept:
-            total += rows.matrix.T @ (rows.weights * (rows.matrix @ x))
+            total[rows.columns] += rows.matrix.T @ (rows.weights * (rows.matrix @ x[rows.columns]))
         for operator in self._operators:
             total += operator.adjoint(operator.weights * operator.forward(x))
         return total
@@ -342,7 +348,11 @@ class LeastSquares:
 
     def _rooted_rows(self) -> Tensor:
         """W^1/2 A."""
-        blocks = [rows.matrix.double() * rows.weights.double().sqrt()[:, None] for rows in self._kept]
+        blocks = []
+        for rows in self._kept:
+            precise = rows._replace(matrix=rows.matrix.double(), weights=rows.weights.double())
+            others = rows.columns.start, self.size - rows.columns.stop
+            blocks.append(torch.nn.functional.pad(precise.rooted(), others))
         return torch.cat(blocks) if blocks else self._right.new_zeros(0, self.size)
 
     def _rooted_targets(self) -> Tensor:
@@ -354,7 +364,7 @@ class LeastSquares:
     def _objective(self, x: Tensor) -> float:
         if self._normal is None:
             v = x.to(self._like)
-            misses = [(r.weights, r.matrix @ v - r.target) for r in self._kept]
+            misses = [(r.weights, r.matrix @ v[r.columns] - r.target) for r in self._kept]
             misses += [(o.weights, o.forward(v) - o.target) for o in self._operators]
             return float(sum((weights * miss**2).sum() for weights, miss in misses))
         v = x.to(self._normal)

@@ -148,8 +148,8 @@ def test_near_isometry_has_no_more_strain_than_other_slides(wobbly):
     slide = NearIsometric(features, sample)
     t = slide(wobbly, d_theta, sample.points)
     space = DeformationSpace(wobbly, features, directions=d_theta[:, None])
-    rows = torch.cat([block for _, block in space.vector_rows(sample.points)]).flatten(0, 1)
-    c = torch.linalg.lstsq(rows[:, 1:], t.flatten(), driver="gelsd").solution
+    ((_, axes, rows),) = space.tangent_rows(sample.points)
+    c = torch.linalg.lstsq(rows.flatten(0, 1), (axes @ t[:, :, None]).flatten(), driver="gelsd").solution
 
     def strain(c):
         x = torch.cat([torch.ones(1, dtype=torch.float64), c])
