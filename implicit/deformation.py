@@ -85,6 +85,8 @@ class DeformationSpace:
         self.directions = directions
         self.parameters = len(field.theta) if directions is None else directions.shape[1]
         self.size = self.parameters + (field.dimension * tangential.count if tangential is not None else 0)
+        # Numbers of a row while it is made: over all parameters, before the directions take its part in theirs.
+        self._width = max(self.size, len(field.theta))
 
     def split(self, x: Float[Tensor, " s"]) -> tuple[Float[Tensor, " p"], Float[Tensor, "d k"] | None]:
         """The unknowns as d_theta and the tangential coefficients, one row a coordinate."""
@@ -112,7 +114,7 @@ class DeformationSpace:
     def normal_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k p"]]]:
         """n . D as rows over the unknowns of the normal part, in blocks of points."""
         start = 0
-        for part in row_blocks(points, self.size):
+        for part in row_blocks(points, self._width):
             length = self.field.gradient_length(self.field.gradient(part))
             rows = self.reduced(parameter_gradient(self.field, part).div_(-length[:, None]))
             yield slice(start, start + len(part)), rows
@@ -121,7 +123,7 @@ class DeformationSpace:
     def value_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k p"]]]:
         """The change of f itself, at points anywhere, as rows over the unknowns of the normal part, in blocks."""
         start = 0
-        for part in row_blocks(points, self.size):
+        for part in row_blocks(points, self._width):
             yield slice(start, start + len(part)), self.reduced(parameter_gradient(self.field, part))
             start += len(part)
 
@@ -130,7 +132,7 @@ class DeformationSpace:
     ) -> Iterator[tuple[slice, Float[Tensor, "k t d"], Float[Tensor, "k t p"]]]:
         """Tangent axes (one in the plane, two in space), and the slopes of n . D along them as rows, as normal_rows."""
         start = 0
-        for part in row_blocks(points, 2 * self.field.dimension * self.size):
+        for part in row_blocks(points, 2 * self.field.dimension * self._width):
             frame = Frame.at(self.field, part)
             _, du = speed_and_slope(self.field, frame)
             rows = self.reduced(torch.einsum("nai,nip->nap", frame.axes[:, :-1], du))
@@ -172,7 +174,7 @@ class DeformationSpace:
         roots = torch.tensor([shares[entry] ** 0.5 for entry in entries], dtype=torch.float64).to(self.field.theta)
         # A slope of the speed shows only in the entry of its axis with the normal.
         used = [0, *(1 + a for a in range(last + 1) if (a, last) in shares)]
-        for part in row_blocks(points, (len(entries) + 4) * self.size):
+        for part in row_blocks(points, (len(entries) + 4) * self._width):
             frame = Frame.at(self.field, part)
             axes, n = frame.axes, frame.normals
             shape = axes @ frame.normal_slopes @ axes.transpose(1, 2)
@@ -217,3 +219,20 @@ def speed_and_slope(field: Field, frame: Frame) -> tuple[Float[Tensor, "n p"], F
     u = q / -frame.lengths[:, None]
     bend = torch.einsum("nij,nj->ni", frame.hessians, frame.normals) / frame.lengths[:, None]  # slope of log |df/dx|
     return u, dq / -frame.lengths[:, None, None] - u[:, None, :] * bend[:, :, None]
+
+
+def spanned(
+    field: Field, on: Float[Tensor, "n d"], off: Float[Tensor, "m d"], count: int
+) -> Float[Tensor, "p k"] | None:
+    """An orthonormal basis of the parameter changes that the sensitivities of so many points span; None for all.
+
+    Args:
+        on, off: Points on the surface and off it, each in an order whose every part is spread evenly. A quarter of
+            those taken at most is off it.
+    """
+    off = off[: count // 4]
+    every = max(1, len(on) // max(1, count - len(off)))
+    chosen = torch.cat([on[::every][: count - len(off)], off])
+    if len(chosen) >= len(field.theta):
+        return None
+    return torch.linalg.qr(parameter_gradient(field, chosen).T)[0]

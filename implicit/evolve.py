@@ -364,7 +364,7 @@ def _settled(problem: StepProblem, trial: _Trial, points: Tensor) -> Tensor:
     """
     assert problem.settle is not None
     goal = points + trial.way[: len(points)]
-    field, at = trial.moved, trial.arrived_at[: len(points)]
+    field, at, directions = trial.moved, trial.arrived_at[: len(points)], problem.space.directions
     change = torch.zeros_like(trial.x)
     left = float("inf")
     for _ in range(SETTLINGS):
@@ -373,8 +373,9 @@ def _settled(problem: StepProblem, trial: _Trial, points: Tensor) -> Tensor:
         if not size < 0.25 * left:
             break
         left = size
-        step = assemble(StepProblem(DeformationSpace(field), [NormalTarget(at, gap, problem.settle)])).solve()
-        moved = field.with_theta(field.theta + step.x)
+        space = DeformationSpace(field, directions=directions)
+        step = assemble(StepProblem(space, [NormalTarget(at, gap, problem.settle)])).solve()
+        moved = field.with_theta(field.theta + space.split(step.x)[0])
         arrived_at, arrived = newton_to_surface(moved, goal, reach=trial.reach)
         if not bool(arrived.all()):
             break

@@ -23,7 +23,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.arguments import require_callable, require_choice, require_positive, require_whole
-from implicit.deformation import DeformationSpace
+from implicit.deformation import DeformationSpace, spanned
 from implicit.edit import Edit, Progress, Row, require_options
 from implicit.energies import Energy, NormalTarget, Smoothness
 from implicit.evolve import evolve
@@ -34,7 +34,6 @@ from implicit.guard import Holding, checked_constraints
 from implicit.offsurface import off_surface
 from implicit.regions import Region
 from implicit.sampling import sample_surface, thinned
-from implicit.sensitivity import parameter_gradient
 from implicit.step import State, StepProblem
 from implicit.surface import MeshedSample, SurfaceSample
 
@@ -179,7 +178,7 @@ def explicit_step_limit(field: Field, *, points: int = 400, directions: int = 20
     require_whole("points", points)
     require_whole("directions", directions)
     sample = sample_surface(field, points, seed=seed)
-    space = DeformationSpace(field, directions=_directions(field, sample, sample.points[:0], directions))
+    space = DeformationSpace(field, directions=spanned(field, sample.points, sample.points[:0], directions))
     zero = torch.zeros_like(sample.weights)
     grams = []
     for energy in (NormalTarget(sample.points, zero, sample.weights), Smoothness(sample.points, sample.weights)):
@@ -195,18 +194,6 @@ def _default_step(field: Field, sample: SurfaceSample, method: str) -> float:
     content = float(sample.weights.sum())
     size = STEP_OF_AREA * (content if field.dimension == 3 else content**2 / (4 * math.pi))
     return size if method == "implicit" else min(size, 0.5 * explicit_step_limit(field))
-
-
-def _directions(
-    field: Field, sample: SurfaceSample, off: Float[Tensor, "m d"], count: int
-) -> Float[Tensor, "p k"] | None:
-    """An orthonormal basis of the parameter changes that the sensitivities of some points span; None for all."""
-    off = off[: count // 4]
-    every = max(1, len(sample) // max(1, count - len(off)))
-    chosen = torch.cat([sample.points[::every][: count - len(off)], off])
-    if len(chosen) >= len(field.theta):
-        return None
-    return torch.linalg.qr(parameter_gradient(field, chosen).T)[0]
 
 
 class _Smoothing:
@@ -241,7 +228,7 @@ class _Smoothing:
         )
         if self._off > 0:
             energies.append(away)
-        basis = None if self._directions is None else _directions(field, sample, away.points, self._directions)
+        basis = None if self._directions is None else spanned(field, sample.points, away.points, self._directions)
         return StepProblem(
             DeformationSpace(field, directions=basis),
             energies,
