@@ -50,6 +50,14 @@ class Frame:
         return scaled - self.normals[:, :, None] * torch.einsum("ni,nij->nj", self.normals, scaled)[:, None, :]
 
     @cached_property
+    def quotient_rule(self) -> Float[Tensor, "n e e"]:
+        """The matrices that take df/dtheta and its slope in space to those of u = -(df/dtheta) / |df/dx|."""
+        rule = torch.diag_embed(-1 / self.lengths[:, None].expand(-1, 1 + self.points.shape[1]))
+        # Of log |df/dx| the slope is H n / |df/dx|, and u loses its share of it.
+        rule[:, 1:, 0] = torch.einsum("nij,nj->ni", self.hessians, self.normals) / self.lengths[:, None].square()
+        return rule
+
+    @cached_property
     def axes(self) -> Float[Tensor, "n d d"]:
         """Rows: an orthonormal basis of the tangent plane, then the normal."""
         return axes_of(self.normals)
@@ -134,8 +142,7 @@ class DeformationSpace:
         start = 0
         for part in row_blocks(points, 2 * self.field.dimension * self._width):
             frame = Frame.at(self.field, part)
-            _, du = speed_and_slope(self.field, frame)
-            rows = self.reduced(torch.einsum("nai,nip->nap", frame.axes[:, :-1], du))
+            rows = self.reduced(frame.axes[:, :-1] @ speed_and_slope(self.field, frame)[:, 1:])
             yield slice(start, start + len(part)), frame.axes[:, :-1], rows
             start += len(part)
 
@@ -196,11 +203,13 @@ class DeformationSpace:
                         of_slide[:, e, :, 1 + there] -= n
             turn, of_speed = torch.linalg.qr(roots[:, None] * of_speed[:, :, used], mode="complete")
             of_slide = torch.einsum("nfe,nfij->neij", turn * roots[:, None], of_slide)
-            u, du = speed_and_slope(self.field, frame)
-            speeds = torch.cat([u[:, None], axes @ du], dim=1)[:, used]
             touched = min(len(entries), len(used))
+            # Small factors first: the rows of the parameters are the one large product.
+            from_field = frame.quotient_rule.clone()
+            from_field[:, 1:] = axes @ from_field[:, 1:]
+            from_field = of_speed[:, :touched] @ from_field[:, used]
             rows = torch.empty(touched, len(part), self.size, dtype=part.dtype, device=part.device)
-            own = self.reduced(of_speed[:, :touched] @ speeds)
+            own = self.reduced(from_field @ parameter_gradient_and_slope(self.field, part))
             rows[:, :, : self.parameters] = own.transpose(0, 1)
             rest = rows.new_zeros(len(entries) - touched, len(part), self.size - self.parameters)
             if self.tangential is not None:
@@ -213,12 +222,9 @@ class DeformationSpace:
             start += len(part)
 
 
-def speed_and_slope(field: Field, frame: Frame) -> tuple[Float[Tensor, "n p"], Float[Tensor, "n d p"]]:
-    """u = b and du/dx: the quotient rule on -(df/dtheta) / |df/dx|."""
-    q, dq = parameter_gradient_and_slope(field, frame.points)
-    u = q / -frame.lengths[:, None]
-    bend = torch.einsum("nij,nj->ni", frame.hessians, frame.normals) / frame.lengths[:, None]  # slope of log |df/dx|
-    return u, dq / -frame.lengths[:, None, None] - u[:, None, :] * bend[:, :, None]
+def speed_and_slope(field: Field, frame: Frame) -> Float[Tensor, "n e p"]:
+    """u = b and, after it, du/dx, (N, 1 + D, P)."""
+    return frame.quotient_rule @ parameter_gradient_and_slope(field, frame.points)
 
 
 def spanned(

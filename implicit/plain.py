@@ -81,10 +81,8 @@ def plain_gram(field: Field, points: Float[Tensor, "n d"], scale: Float[Tensor, 
     return total
 
 
-def plain_gradient_and_slope(
-    field: Field, points: Float[Tensor, "n d"]
-) -> tuple[Float[Tensor, "n p"], Float[Tensor, "n d p"]]:
-    """df/dtheta and its derivatives in space."""
+def plain_gradient_and_slope(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n e p"]:
+    """df/dtheta and, after it, its derivatives in space, (N, 1 + D, P)."""
     n, dimension = points.shape
     weights, inputs, slopes, bends = _forward(field, points)
     # Derivatives of the inputs of each layer, (n, d, width), and of its linear output.
@@ -93,14 +91,13 @@ def plain_gradient_and_slope(
     for k, weight in enumerate(weights[:-1]):
         outputs.append(moved[-1] @ weight.T)
         moved.append(outputs[k] * slopes[k][:, None, :])
-    rows = points.new_empty(n, len(field.theta))
-    slope_rows = points.new_empty(n, dimension, len(field.theta))
+    both = points.new_empty(n, 1 + dimension, len(field.theta))
     upper = torch.full_like(points[:, :1], field.sign)
     upper_moved = points.new_zeros(n, dimension, 1)
     for k in reversed(range(len(weights))):
-        _write(rows, field, k, upper, inputs[k])
+        _write(both[:, 0], field, k, upper, inputs[k])
         for axis in range(dimension):
-            part = slope_rows[:, axis]
+            part = both[:, 1 + axis]
             _write(part, field, k, upper_moved[:, axis], inputs[k])
             block = part[:, field.layout[2 * k].where].view(n, *field.layout[2 * k].shape)
             block += upper[:, :, None] * moved[k][:, axis, None, :]
@@ -108,7 +105,7 @@ def plain_gradient_and_slope(
             back, back_moved = upper @ weights[k], upper_moved @ weights[k]
             upper_moved = slopes[k - 1][:, None] * back_moved + (bends[k - 1] * back)[:, None] * outputs[k - 1]
             upper = slopes[k - 1] * back
-    return rows, slope_rows
+    return both
 
 
 def _forward(field: Field, points: Tensor) -> tuple[list[Tensor], list[Tensor], list[Tensor], list[Tensor]]:

@@ -60,7 +60,7 @@ def parameter_gradient(field: Field, points: Float[Tensor, "n d"]) -> Float[Tens
     try:
         return vmap(grad(_at_one_point(field)), in_dims=(None, 0))(field.theta, points)
     except (RuntimeError, NotImplementedError) as error:
-        return _one_by_one(field, points, error)[0]
+        return _one_by_one(field, points, error)[:, 0]
 
 
 def value_and_gradients(
@@ -141,10 +141,8 @@ def adjoint(
     return total
 
 
-def parameter_gradient_and_slope(
-    field: Field, points: Float[Tensor, "n d"]
-) -> tuple[Float[Tensor, "n p"], Float[Tensor, "n d p"]]:
-    """df/dtheta and its derivatives in space d(df/dtheta)/dx."""
+def parameter_gradient_and_slope(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n e p"]:
+    """df/dtheta and, after it, its derivatives in space d(df/dtheta)/dx, (N, 1 + D, P)."""
     if is_plain(field):
         return plain_gradient_and_slope(field, points)
     gradient = grad(_at_one_point(field))
@@ -158,10 +156,10 @@ def parameter_gradient_and_slope(
         values, slopes = along(field.theta, points, directions)
     except (RuntimeError, NotImplementedError) as error:
         return _one_by_one(field, points, error)
-    return values[:, 0], slopes
+    return torch.cat([values[:, :1], slopes], dim=1)
 
 
-def _one_by_one(field: Field, points: Tensor, error: Exception) -> tuple[Tensor, Tensor]:
+def _one_by_one(field: Field, points: Tensor, error: Exception) -> Tensor:
     """df/dtheta and its slopes by ordinary backward passes, for modules that vmap cannot take."""
     warnings.warn(
         f"The module cannot be vectorised over points ({str(error).splitlines()[0]}), so they are differentiated one "
@@ -169,7 +167,7 @@ def _one_by_one(field: Field, points: Tensor, error: Exception) -> tuple[Tensor,
         RuntimeWarning,
         stacklevel=4,
     )
-    values, slopes = [], []
+    both = []
     with torch.enable_grad():
         theta = field.theta.detach().requires_grad_()
         for point in points:
@@ -181,9 +179,8 @@ def _one_by_one(field: Field, points: Tensor, error: Exception) -> tuple[Tensor,
                 torch.autograd.grad(g, theta, retain_graph=True, allow_unused=True)[0] if g.requires_grad else None
                 for g in gradient[0]
             ]
-            values.append(value)
-            slopes.append(torch.stack([torch.zeros_like(theta) if row is None else row for row in rows]))
-    return torch.stack(values), torch.stack(slopes)
+            both.append(torch.stack([value, *(torch.zeros_like(theta) if row is None else row for row in rows)]))
+    return torch.stack(both)
 
 
 def row_blocks(points: Tensor, columns: int) -> Iterator[Tensor]:

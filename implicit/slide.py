@@ -76,7 +76,7 @@ class ConstantNormals:
         for part in row_blocks(points, (field.dimension + 1) * len(d_theta)):
             frame = Frame.at(field, part)
             tangents = frame.axes[:, :-1]
-            slope = tangents @ (speed_and_slope(field, frame)[1] @ d_theta)[:, :, None]
+            slope = tangents @ (speed_and_slope(field, frame)[:, 1:] @ d_theta)[:, :, None]
             shape = tangents @ frame.normal_slopes @ tangents.transpose(1, 2)
             curvatures, directions = torch.linalg.eigh((shape + shape.transpose(1, 2)) / 2)
             inverse = curvatures / (curvatures**2 + least**2)

@@ -368,8 +368,7 @@ class LeastSquares:
             misses += [(o.weights, o.forward(v) - o.target) for o in self._operators]
             return float(sum((weights * miss**2).sum() for weights, miss in misses))
         v = x.to(self._normal)
-        half = self._normal.tril() @ v
-        curved = float(2 * (v @ half) - v @ (self._normal.diagonal() * v))
+        curved = float(v @ _of_lower(self._normal, v))
         # Cancellation can leave a small negative number where the fit is all but exact.
         return max(0.0, self._square - 2 * float(self._right @ x) + curved)
 
@@ -409,6 +408,15 @@ def add_gram(total: Float[Tensor, "n n"], rows: Float[Tensor, "k n"]) -> None:
     result = product(1.0, rows.contiguous().numpy().T, beta=1.0, c=out, overwrite_c=1)
     if result is not out and not np.shares_memory(result, out):
         out[...] = result
+
+
+def _of_lower(lower: Float[Tensor, "n n"], x: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+    """The symmetric matrix with this lower triangle times x."""
+    if x.device.type == "cpu" and x.dtype in (torch.float32, torch.float64) and len(x) > 0:
+        product = blas.dsymv if x.dtype == torch.float64 else blas.ssymv
+        return torch.from_numpy(product(1.0, lower.numpy().T, x.numpy(), lower=0))
+    half = lower.tril()
+    return half @ x + half.T @ x - lower.diagonal() * x
 
 
 def _gram(rows: Float[Tensor, "k n"]) -> Float[Tensor, "k k"]:

@@ -229,7 +229,7 @@ class StepEnergies:
     def at(cls, field: Field, strain: Killing, reach: VectorTarget, where: Tensor) -> StepEnergies:
         """The derivatives of the field at the points that carry the strain; `where` marks those of the target."""
         frame = Frame.at(field, strain.points)
-        u, du = speed_and_slope(field, frame)
+        speeds = speed_and_slope(field, frame)
         held, target = torch.zeros_like(strain.weights), torch.zeros_like(strain.points)
         held[where], target[where] = reach.weights, reach.target
         shares = [[strain.share(min(a, b), max(a, b), 2) for b in range(3)] for a in range(3)]
@@ -238,9 +238,9 @@ class StepEnergies:
             frame.normals,
             frame.normal_slopes,
             frame.axes,
-            torch.cat([u[:, None], du], dim=1),
+            speeds,
             strain.weights,
-            torch.tensor(shares, dtype=torch.float64).to(u),
+            torch.tensor(shares, dtype=torch.float64).to(speeds),
             held,
             target,
         )

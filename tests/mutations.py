@@ -66,7 +66,7 @@ IMPLICIT = [
      "scaled = -weights / lengths", "scaled = -weights",
      "sensitivity::products_agree_with_the_matrix"),
     ("quotient rule of the sensitivity's slope", "deformation",
-     "- u[:, None, :] * bend[:, :, None]", "+ u[:, None, :] * bend[:, :, None]",
+     "rule[:, 1:, 0] = torch.einsum(", "rule[:, 1:, 0] = -torch.einsum(",
      "deformation::slope_rows_match_differences_of_the_normal_speed"),
     ("projection in the slope of the normal", "deformation",
      "return scaled - self.normals[:, :, None]", "return scaled + self.normals[:, :, None]",
