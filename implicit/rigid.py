@@ -145,6 +145,7 @@ def rigid_edit(
         normals=sample.normals,
         displacement=edit.points + edit.displacement - sample.points,
         wanted=operation.wanted(),
+        notes=(*edit.notes, *operation.notes(len(field.theta))),
     )
 
 
@@ -258,6 +259,20 @@ class RigidOperation:
         """The whole displacement of the held points; NaN elsewhere."""
         whole = self.goal(1.0) - self._sample.points
         return torch.where(self.held[:, None], whole, torch.full_like(whole, float("nan")))
+
+    def notes(self, parameters: int) -> tuple[str, ...]:
+        """What the caller should know of the answer: whether the strain is seen at fewer places than could hide it."""
+        combinations = _combinations(parameters)
+        count = parameters if combinations is None else combinations
+        unknowns = count + 3 * self._tangential.count
+        entries = 3 + 2 * (self._bending > 0) + (self._thickness > 0)
+        if entries * len(self._sample) >= unknowns:
+            return ()
+        return (
+            f"The strain at {len(self._sample)} points is {entries * len(self._sample)} equations for {unknowns} "
+            f"unknowns, so that between the points the surface may be strained unseen. Take {-(-unknowns // entries)} "
+            "points or more, or fewer waves.",
+        )
 
     def step(self, state: State) -> StepProblem:
         held = self.held

@@ -89,6 +89,16 @@ def test_combinations_of_sensitivities_do_nearly_what_all_parameters_do(spot, fe
     assert combined.history[0]["objective"] == pytest.approx(of_all.history[0]["objective"], rel=0.02)
 
 
+def test_too_few_points_to_see_the_strain_are_told_of(spot):
+    """5 entries a point, against 2273 parameters and 312 coefficients: 517 points are as many equations."""
+    features = CosineFeatures(spot, waves=100)
+    handles = [Handle(HEAD, (0.01, 0.0, 0.0)), Handle(FEET, (0.0, 0.0, 0.0))]
+    (note,) = rigid_edit(spot, handles, points=516, tangential=features).notes
+    assert "2580 equations for 2585 unknowns" in note
+    assert "Take 517 points or more" in note
+    assert rigid_edit(spot, handles, points=517, tangential=features).notes == ()
+
+
 def test_a_network_too_large_for_its_combinations_is_refused_before_any_work():
     field = Field(Mlp(width=512, depth=2))
     with pytest.raises(ValueError, match=r"265,217 parameters; a rigid edit takes up to 200,000"):
