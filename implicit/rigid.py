@@ -14,7 +14,7 @@ parameters. All is computed in float64: the damping that suits these systems is 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -108,18 +108,8 @@ def rigid_edit(
     constraints = checked_constraints(constraints)
     if track is not None:
         field.to(torch.float64).require_points(field.to(torch.float64).in_precision(track), "track")
-    precise, sample, operation = prepare(
-        field,
-        handles,
-        steps=steps,
-        alpha=alpha,
-        shares=(bending, thickness),
-        tangential=tangential,
-        points=points,
-        damping=damping,
-        off_surface_strength=off_surface_strength,
-        seed=seed,
-    )
+    settings = RigidSettings(steps, alpha, bending, thickness, damping, off_surface_strength, seed)
+    precise, sample, operation = prepare(field, handles, settings, tangential, points)
     tracked = None if track is None else track.to(precise.theta)
     whole = operation.placement(1.0)
     if _can_be_placed(precise, whole, sample, constraints):
@@ -158,28 +148,36 @@ def _can_be_placed(field: Field, whole: Placement, sample: SurfaceSample, constr
     return bool(((moved > lower) & (moved < upper)).all())
 
 
+@dataclass(frozen=True)
+class RigidSettings:
+    """What the steps of a rigid edit weigh; see there."""
+
+    steps: int
+    alpha: float
+    bending: float
+    thickness: float
+    damping: float | None
+    off_surface_strength: float
+    seed: int
+
+    def __post_init__(self) -> None:
+        require_whole("steps", self.steps)
+        require_positive("alpha", self.alpha)
+        for name in ("bending", "thickness", "off_surface_strength"):
+            require_positive(name, getattr(self, name), or_zero=True)
+
+
 def prepare(
     field: Field,
     handles: Sequence[Handle],
-    *,
-    steps: int,
-    alpha: float,
-    shares: tuple[float, float],
+    settings: RigidSettings,
     tangential: TangentialModel | None,
     points: int | SurfaceSample,
-    damping: float | None,
-    off_surface_strength: float,
-    seed: int,
 ) -> tuple[Field, SurfaceSample, RigidOperation]:
     """The field in float64, the points that carry the energies, and what each step minimises; see rigid_edit."""
     if require_field(field).dimension != 3:
         raise ValueError(f"rigid_edit needs a field in 3 dimensions, but this one has {field.dimension}.")
     handles = checked_handles(handles)
-    require_whole("steps", steps)
-    require_positive("alpha", alpha)
-    for name, share in zip(("bending", "thickness"), shares, strict=True):
-        require_positive(name, share, or_zero=True)
-    require_positive("off_surface_strength", off_surface_strength, or_zero=True)
     if tangential is not None and not callable(getattr(tangential, "slopes", None)):
         raise TypeError(f"tangential must be None or a model such as CosineFeatures(field), but is {tangential!r}.")
     if (_combinations(len(field.theta)) or COMBINATIONS) < FEWEST_COMBINATIONS:
@@ -190,31 +188,18 @@ def prepare(
         )
     precise = field.to(torch.float64)
     points = points.to(torch.float64) if isinstance(points, SurfaceSample) else points
-    sample = carrying_points(precise, points, "farthest", seed=seed)
-    model = CosineFeatures(precise, seed=seed) if tangential is None else tangential
-    operation = RigidOperation(handles, sample, steps, alpha, shares, model, damping, off_surface_strength, seed)
-    return precise, sample, operation
+    sample = carrying_points(precise, points, "farthest", seed=settings.seed)
+    model = CosineFeatures(precise, seed=settings.seed) if tangential is None else tangential
+    return precise, sample, RigidOperation(handles, sample, settings, model)
 
 
 class RigidOperation:
     """What the steps of a rigid edit minimise, for the loop."""
 
     def __init__(
-        self,
-        handles: list[Handle],
-        sample: SurfaceSample,
-        steps: int,
-        alpha: float,
-        shares: tuple[float, float],
-        tangential: TangentialModel,
-        damping: float | None,
-        off_surface_strength: float,
-        seed: int,
+        self, handles: list[Handle], sample: SurfaceSample, settings: RigidSettings, tangential: TangentialModel
     ) -> None:
-        self._handles, self._sample, self._steps, self._alpha = handles, sample, steps, alpha
-        self._bending, self._thickness = shares
-        self._tangential, self._damping = tangential, damping
-        self._off_surface, self._seed = off_surface_strength, seed
+        self._handles, self._sample, self._settings, self._tangential = handles, sample, settings, tangential
         self._weights = [handle.weights(sample.points) for handle in handles]
         self._total = torch.stack(self._weights).sum(dim=0) if handles else torch.zeros_like(sample.weights)
         for k, weights in enumerate(self._weights):
@@ -265,7 +250,7 @@ class RigidOperation:
         combinations = _combinations(parameters)
         count = parameters if combinations is None else combinations
         unknowns = count + 3 * self._tangential.count
-        entries = 3 + 2 * (self._bending > 0) + (self._thickness > 0)
+        entries = 3 + 2 * (self._settings.bending > 0) + (self._settings.thickness > 0)
         if entries * len(self._sample) >= unknowns:
             return ()
         return (
@@ -275,25 +260,26 @@ class RigidOperation:
         )
 
     def step(self, state: State) -> StepProblem:
-        held = self.held
-        target = (self._path((state.step + 1) / self._steps) - state.points)[held]
+        held, settings = self.held, self._settings
+        target = (self._path((state.step + 1) / settings.steps) - state.points)[held]
         reach = VectorTarget(
-            state.points[held], target, self._alpha * (self._sample.weights * self._total.clamp(max=1))[held]
+            state.points[held], target, settings.alpha * (self._sample.weights * self._total.clamp(max=1))[held]
         )
-        strain = Killing(state.points, self._sample.weights, self._bending, self._thickness)
+        strain = Killing(state.points, self._sample.weights, settings.bending, settings.thickness)
         way = float(target.norm(dim=1).max()) / (SMALL * state.field.size)
         damping = DAMPING * min(max(way, LEAST), 1.0)
         energies: list[Energy] = [strain, reach]
         here = SurfaceSample(state.points, state.field.normal(state.points), self._sample.weights)
-        away = off_surface(state.field, here, strength=self._off_surface, seed=self._seed + state.step)
-        if self._off_surface > 0:
+        strength = settings.off_surface_strength
+        away = off_surface(state.field, here, strength=strength, seed=settings.seed + state.step)
+        if strength > 0:
             energies.append(away)
         count = _combinations(len(state.field.theta))
         directions = None if count is None else spanned(state.field, state.points, away.points, count)
         return StepProblem(
             DeformationSpace(state.field, self._tangential, directions),
             energies,
-            self._damping,
+            settings.damping,
             first_damping=damping,
             least_damping=damping,
             allowed_miss=0.3,  # for the surface settles where the step sends it

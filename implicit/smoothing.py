@@ -146,15 +146,15 @@ def smooth(
     operation = _Smoothing(
         flow or MeanCurvature(),
         size,
-        method == "implicit",
-        where,
-        until,
-        off,
-        restore,
-        points,
-        directions,
-        damping,
-        seed,
+        implicit=method == "implicit",
+        where=where,
+        until=until or Until(),
+        off=off,
+        restore=restore,
+        points=points,
+        directions=directions,
+        damping=damping,
+        seed=seed,
     )
     return evolve(
         field,
@@ -196,43 +196,38 @@ def _default_step(field: Field, sample: SurfaceSample, method: str) -> float:
     return size if method == "implicit" else min(size, 0.5 * explicit_step_limit(field))
 
 
+@dataclass
 class _Smoothing:
-    def __init__(
-        self,
-        flow: Flow,
-        step_size: float,
-        implicit: bool,
-        where: Region | None,
-        until: Until | None,
-        off: float,
-        restore: float,
-        points: int,
-        directions: int | None,
-        damping: float | None,
-        seed: int,
-    ) -> None:
-        self._flow, self._step_size, self._implicit, self._where = flow, step_size, implicit, where
-        self._until, self._off, self._restore = until or Until(), off, restore
-        self._points, self._directions, self._damping, self._seed = points, directions, damping, seed
-        self._time = 0.0
+    """The steps of smooth, for the loop; its options are told of there."""
+
+    flow: Flow
+    step_size: float
+    implicit: bool
+    where: Region | None
+    until: Until
+    off: float
+    restore: float
+    points: int
+    directions: int | None
+    damping: float | None
+    seed: int
+    time: float = 0.0  # of the flow, so far
 
     def step(self, state: State) -> StepProblem:
-        field, seed = state.field, self._seed + state.step
+        field, seed = state.field, self.seed + state.step
         assert state.sample is not None
-        sample = thinned(field, state.sample, self._points, seed=seed)
+        sample = thinned(field, state.sample, self.points, seed=seed)
         kappa = field.mean_curvature(sample.points)
-        share = torch.ones_like(kappa) if self._where is None else self._where(sample.points)
-        energies: list[Energy] = [*self._flow.energies(field, sample, kappa, self._step_size, share, self._implicit)]
-        away = off_surface(
-            field, sample, strength=self._off, restore=self._restore, points=self._points // 4, seed=seed
-        )
-        if self._off > 0:
+        share = torch.ones_like(kappa) if self.where is None else self.where(sample.points)
+        energies: list[Energy] = [*self.flow.energies(field, sample, kappa, self.step_size, share, self.implicit)]
+        away = off_surface(field, sample, strength=self.off, restore=self.restore, points=self.points // 4, seed=seed)
+        if self.off > 0:
             energies.append(away)
-        basis = None if self._directions is None else spanned(field, sample.points, away.points, self._directions)
+        basis = None if self.directions is None else spanned(field, sample.points, away.points, self.directions)
         return StepProblem(
             DeformationSpace(field, directions=basis),
             energies,
-            self._damping,
+            self.damping,
             allowed_miss=0.2,
             first_damping=DAMPING,
             least_damping=DAMPING,
@@ -242,12 +237,12 @@ class _Smoothing:
         )
 
     def finished(self, state: State, history: Sequence[Row]) -> bool:
-        return bool(history) and self._until.met(history[-1])
+        return bool(history) and self.until.met(history[-1])
 
     def _record(self, field: Field, surface: MeshedSample, held: Row, part: float) -> Row:
-        self._time += part * self._step_size
+        self.time += part * self.step_size
         volume = held["volume"] if "volume" in held else Volume().value(field, surface.sample)
-        return {"time": self._time, **surface_record(field, surface, volume)}
+        return {"time": self.time, **surface_record(field, surface, volume)}
 
 
 def surface_record(field: Field, surface: MeshedSample, volume: float) -> Row:

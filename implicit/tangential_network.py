@@ -27,7 +27,7 @@ from implicit.energies import Killing, VectorTarget, total_energy
 from implicit.field import Field
 from implicit.models.siren import Siren
 from implicit.regions import Handle
-from implicit.rigid import prepare
+from implicit.rigid import RigidSettings, prepare
 from implicit.sensitivity import normal_displacement
 from implicit.solve import LeastSquares
 from implicit.step import State
@@ -119,18 +119,8 @@ def trained_rigid_step(
     """
     for name, value in (("iterations", iterations), ("width", width), ("depth", depth)):
         require_whole(name, value)
-    precise, sample, operation = prepare(
-        field,
-        handles,
-        steps=1,
-        alpha=alpha,
-        shares=(bending, thickness),
-        tangential=tangential,
-        points=points,
-        damping=None,
-        off_surface_strength=0.0,
-        seed=seed,
-    )
+    settings = RigidSettings(1, alpha, bending, thickness, damping=None, off_surface_strength=0.0, seed=seed)
+    precise, sample, operation = prepare(field, handles, settings, tangential, points)
     problem = operation.step(State(precise, 0, sample.points, None))
     strain, reach = problem.energies
     assert isinstance(strain, Killing)
