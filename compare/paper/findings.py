@@ -79,13 +79,14 @@ def write_measured(measured: Iterable[Measured], path: Path) -> None:
 
 
 def table(measured: Iterable[Measured], *, headlines: bool = False) -> str:
-    """Findings as a table in Markdown; those of a quick run say so.
+    """Findings as a table in Markdown, and their notes by number below it; those of a quick run say so.
 
     Args:
         measured: Parts, in the order of the table.
         headlines: Whether to take only the findings that are marked so.
     """
     lines = ["| part | what | paper | ours | note |", "|---|---|---|---|---|"]
+    notes: dict[str, int] = {}
     for part in measured:
         for finding in part.findings:
             if finding.headline or not headlines:
@@ -94,10 +95,12 @@ def table(measured: Iterable[Measured], *, headlines: bool = False) -> str:
                     finding.what,
                     _text(finding.paper),
                     _text(finding.ours),
-                    finding.note,
+                    str(notes.setdefault(finding.note, len(notes) + 1)) if finding.note else "",
                 )
                 row = " | ".join(cell.replace("|", "\\|") for cell in cells)
                 lines.append(f"| {row} |")
+    if notes:
+        lines += ["", "Notes:", "", *(f"{number}. {note}" for note, number in notes.items())]
     return "\n".join(lines) + "\n"
 
 

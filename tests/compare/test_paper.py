@@ -82,13 +82,16 @@ def test_the_user_is_told_which_part_runs_and_what_is_left(drawn, monkeypatch, t
 
 def test_a_table_says_which_findings_are_quick_and_keeps_its_columns():
     found = Finding("rope", "int |b| [length]", 0.12345678, "under 15", "A note.", True)
-    measured = [
-        Measured("rope", (found, Finding("rope", "lost [count]", None)), {"quick": quick}, {}, 1.0, 1.0)
-        for quick in (False, True)
-    ]
+    others = [Finding("rope", "lost [count]", None), Finding("rope", "left [count]", 2, note="Another.")]
+    again = Finding("rope", "turns [count]", 1, note="A note.")
+    measured = [Measured("rope", (found, *others, again), {"quick": q}, {}, 1.0, 1.0) for q in (False, True)]
     full, quick = table(measured[:1]).splitlines()[2:], table(measured[1:], headlines=True).splitlines()[2:]
-    assert full == ["| rope | int \\|b\\| [length] | under 15 | 0.1235 | A note. |", "| rope | lost [count] |  |  |  |"]
-    assert quick == ["| rope (quick) | int \\|b\\| [length] | under 15 | 0.1235 | A note. |"]
+    rows, notes = full[:4], full[4:]
+    assert rows[0] == "| rope | int \\|b\\| [length] | under 15 | 0.1235 | 1 |"
+    assert rows[1] == "| rope | lost [count] |  |  |  |"
+    assert [row.split(" | ")[-1] for row in rows[2:]] == ["2 |", "1 |"]
+    assert notes == ["", "Notes:", "", "1. A note.", "2. Another."]
+    assert quick == ["| rope (quick) | int \\|b\\| [length] | under 15 | 0.1235 | 1 |", *notes[:4]]
 
 
 def test_what_json_has_no_words_for_is_kept_as_nothing(tmp_path):
