@@ -114,7 +114,8 @@ def _energies(scene: _Scene) -> list[Finding]:
             if key == "killing_notebook" and values and side != "ARAP":
                 paper, note = values[side != "neural"], PAPER_NOTE
             what = f"{scene.name}, {words}: {energy}"
-            findings.append(Finding("rigid", what, row[key], paper, note, _papers_own(scene.case.shape, paper)))
+            headline = paper is not None and _is_the_papers(scene.case.shape)
+            findings.append(Finding("rigid", what, row[key], paper, note, headline))
         missed = f"{scene.name}, {words}: rms distance of the handles from where they were sent [of the pull]"
         findings += [
             Finding("rigid", missed, row["handle_error_relative"], note=row["status"]),
@@ -127,8 +128,9 @@ def _small_step(shape: str, subject: Subject, name: str, request: Request) -> li
     found = rigidity(shape, subject, points=400 if request.quick else 2000, seed=request.seed)
     equal = f"Handles missed by {found.handle_error:.2e} of the pull; on the mesh {found.mesh_handle_error:.2e}."
     what = f"{name}, one small step, neural over mesh Killing:"
+    headline = _is_the_papers(shape)
     findings = [
-        Finding("rigid", f"{what} tangential energy [ratio]", found.tangential, note=equal),
+        Finding("rigid", f"{what} tangential energy [ratio]", found.tangential, note=equal, headline=headline),
         Finding("rigid", f"{what} spokes and rims energy [ratio]", found.spokes_and_rims, note=equal),
     ]
     case = pulled_case(shape, subject)
@@ -139,13 +141,13 @@ def _small_step(shape: str, subject: Subject, name: str, request: Request) -> li
         paper = None
         if vertices == MESHES[0] and Path(shape).stem in PAPER:
             paper, note = SLOWER, f"{note} The paper names no machine; what its two solvers were decides this."
-        findings.append(Finding("rigid", words, found.seconds / timing.seconds, paper, note, _papers_own(shape, paper)))
+        findings.append(Finding("rigid", words, found.seconds / timing.seconds, paper, note, headline))
     return findings
 
 
-def _papers_own(shape: str, paper: float | str | None) -> bool:
-    """Whether the paper has the number, and for this shape: the bundled cactus is another than the paper's."""
-    return paper is not None and bool(Path(shape).suffix)
+def _is_the_papers(shape: str) -> bool:
+    """Whether the paper has numbers for the shape: the bundled cactus, which is no file, is another than its own."""
+    return Path(shape).stem in PAPER and bool(Path(shape).suffix)
 
 
 def _picture(scenes: list[_Scene]) -> Figure:
