@@ -1,0 +1,185 @@
+"""Stanford .ply: a header that names tables and their columns, then these, as text or binary."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshref.formats.text import DamageError, as_mesh
+from meshref.topology import FloatArray, IntArray
+
+TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
+    "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
+    "double": "f8", "float64": "f8",
+}  # fmt: skip
+
+
+def read(content: bytes) -> tuple[FloatArray, IntArray]:
+    """Vertices and triangles of a file's content."""
+    if not content.startswith(b"ply"):
+        raise DamageError("it must begin with the word ply")
+    end = content.find(b"end_header")
+    body_at = content.find(b"\n", end) + 1
+    if end < 0 or body_at == 0:
+        raise DamageError("its header does not end")
+    encoding, elements = _header(content[:end].decode("latin-1"))
+    body = content[body_at:]
+    if encoding == "ascii":
+        source: Ascii | Binary = Ascii(body)
+    else:
+        source = Binary(body, "<" if encoding == "binary_little_endian" else ">")
+    vertices, polygons = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
+    for name, count, properties in elements:
+        table = source.read(name, count, properties)
+        if name == "vertex":
+            missing = [x for x in "xyz" if x not in table]
+            if missing:
+                raise DamageError(f"its vertices have no property {missing[0]}")
+            vertices = np.stack([np.asarray(table[x], dtype=np.float64) for x in "xyz"], axis=1)
+        elif name == "face":
+            lists = table.get("vertex_indices", table.get("vertex_index"))
+            if lists is None:
+                raise DamageError("its faces have no property vertex_indices")
+            if isinstance(lists, np.ndarray):
+                k = lists.shape[1]
+                fans = [lists[:, [0, i, i + 1]] for i in range(1, k - 1)]
+                polygons = np.stack(fans, axis=1).reshape(-1, 3).astype(np.int64) if fans else polygons
+            else:
+                polygons = as_mesh([], [_whole(p) for p in lists])[1]
+    return vertices, polygons
+
+
+Property = tuple[str, str, str | None]  # name, type, type of the length if it is a list
+Table = dict[str, "NDArray[np.generic] | list[list[float]]"]
+
+
+def _header(header: str) -> tuple[str, list[tuple[str, int, list[Property]]]]:
+    encoding = ""
+    elements: list[tuple[str, int, list[Property]]] = []
+    for line, text in enumerate(header.splitlines(), start=1):
+        words = text.split()
+        try:
+            if words[:1] == ["format"]:
+                encoding = words[1]
+            elif words[:1] == ["element"]:
+                elements.append((words[1], _count(words[2]), []))
+            elif words[:2] == ["property", "list"]:
+                elements[-1][2].append((words[4], TYPES[words[3]], TYPES[words[2]]))
+            elif words[:1] == ["property"]:
+                elements[-1][2].append((words[2], TYPES[words[1]], None))
+        except (IndexError, KeyError, ValueError):
+            raise DamageError(f"line {line} of its header is {text[:40]!r}") from None
+    if encoding not in ("ascii", "binary_little_endian", "binary_big_endian"):
+        raise DamageError(f"its format is {encoding!r}")
+    return encoding, elements
+
+
+def _whole(corners: list[float]) -> list[int]:
+    if not all(corner.is_integer() for corner in map(float, corners)):
+        raise DamageError(f"a face has the corners {corners}, which are no numbers of vertices")
+    return [int(corner) for corner in corners]
+
+
+def _count(word: str) -> int:
+    number = int(word)
+    if number < 0:
+        raise ValueError("a count below zero")
+    return number
+
+
+class Ascii:
+    def __init__(self, body: bytes) -> None:
+        self._words = body.decode("latin-1").split()
+        self._at = 0
+
+    def read(self, name: str, count: int, properties: list[Property]) -> Table:
+        table: dict[str, list[list[float]]] = {p: [] for p, _, _ in properties}
+        for _ in range(count):
+            for p, _, length in properties:
+                size = 1 if length is None else self._length(name)
+                table[p].append(self._take(name, size))
+        return {
+            p: np.array(table[p], dtype=np.float64).reshape(-1) if length is None else table[p]
+            for p, _, length in properties
+        }
+
+    def _length(self, name: str) -> int:
+        (number,) = self._take(name, 1)
+        if not 0 <= number <= len(self._words):
+            raise DamageError(f"its {name} table has a list of length {number}")
+        return int(number)
+
+    def _take(self, name: str, size: int) -> list[float]:
+        words = self._words[self._at : self._at + size]
+        self._at += size
+        try:
+            numbers = [float(word) for word in words]
+        except ValueError:
+            raise DamageError(f"its {name} table has {' '.join(words)[:40]!r} where numbers should be") from None
+        if len(numbers) < size or size < 0:
+            raise DamageError(f"it ends in its {name} table")
+        return numbers
+
+
+class Binary:
+    def __init__(self, body: bytes, order: str) -> None:
+        self._body, self._order, self._at = body, order, 0
+
+    def read(self, name: str, count: int, properties: list[Property]) -> Table:
+        if count == 0:
+            return {p: np.zeros(0) for p, _, length in properties if length is None}
+        # Lists mostly have one length throughout: then the table is one array. Its first row says which.
+        fields, at = [], self._at
+        for p, kind, length in properties:
+            if length is None:
+                fields.append((p, self._order + kind))
+                at += np.dtype(kind).itemsize
+            else:
+                size = int(self._array(name, at, self._order + length, 1)[0])
+                if not 0 <= size <= len(self._body):
+                    raise DamageError(f"its {name} table has a list of length {size}")
+                fields += [(p + " length", self._order + length), (p, self._order + kind, (size,))]  # type: ignore[list-item]
+                at += np.dtype(length).itemsize + size * np.dtype(kind).itemsize
+        lists = [p for p, _, length in properties if length is not None]
+        row = np.dtype(fields)
+        if self._at + count * row.itemsize <= len(self._body):
+            table = np.frombuffer(self._body, row, count, self._at)
+            if all((table[p + " length"] == table[p + " length"][0]).all() for p in lists):
+                self._at += count * row.itemsize
+                return {p: table[p] for p, _, _ in properties}
+        elif not lists:
+            raise DamageError(f"it ends in its {name} table")
+        return self._read_ragged(name, count, properties)
+
+    def _read_ragged(self, name: str, count: int, properties: list[Property]) -> Table:
+        table: dict[str, list[list[float]]] = {p: [] for p, _, _ in properties}
+        for _ in range(count):
+            for p, kind, length in properties:
+                size = 1
+                if length is not None:
+                    size = int(self._array(name, self._at, self._order + length, 1)[0])
+                    self._at += np.dtype(length).itemsize
+                table[p].append(self._array(name, self._at, self._order + kind, size).tolist())
+                self._at += size * np.dtype(kind).itemsize
+        return {
+            p: np.array(table[p], dtype=np.float64).reshape(-1) if length is None else table[p]
+            for p, _, length in properties
+        }
+
+    def _array(self, name: str, at: int, kind: str, size: int) -> NDArray[np.generic]:
+        if size < 0 or at + size * np.dtype(kind).itemsize > len(self._body):
+            raise DamageError(f"it ends in its {name} table")
+        return np.frombuffer(self._body, kind, size, at)
+
+
+def written(V: FloatArray, F: IntArray, quality: FloatArray | None = None) -> bytes:
+    """The content of a binary file, with a number for each vertex if there is one."""
+    names = ["x", "y", "z"] + ([] if quality is None else ["quality"])
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(V)}"]
+    header += [f"property double {name}" for name in names]
+    header += [f"element face {len(F)}", "property list uchar int vertex_indices", "end_header", ""]
+    points = V if quality is None else np.column_stack([V, quality])
+    faces = np.empty(len(F), dtype=[("length", "u1"), ("corners", "<i4", (3,))])
+    faces["length"], faces["corners"] = 3, F
+    return "\n".join(header).encode() + points.astype("<f8").tobytes() + faces.tobytes()
