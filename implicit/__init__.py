@@ -6,10 +6,12 @@ Sensitivity, ICLR 2023, arXiv:2304.12951].
 
 from implicit.basis_function import BasisFunction, basis_function, one_weight_per_layer
 from implicit.checkpoints import load_checkpoint
+from implicit.decoder import decoder_field
 from implicit.edit import Edit, EditStatus
 from implicit.expressibility import Expressibility, Verdict, expressibility
 from implicit.extraction import extract_mesh, project_to_surface
-from implicit.field import Field, SurfaceError, Units, decoder_field, load_field, save_field
+from implicit.field import Field, SurfaceError, Units
+from implicit.field_file import load_field, save_field
 from implicit.fit import FitStatus, Training, fit_field
 from implicit.flows import Bending, MeanCurvature, Offset
 from implicit.functionals import Area, Functional, Integral, SurfaceIntegral, Volume, VolumeIntegral, integrate

@@ -16,7 +16,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.arguments import require_whole
-from implicit.field import Field, Parameter, require_field
+from implicit.evaluator import Parameter
+from implicit.field import Field, require_field
 from implicit.sensitivity import normal_displacement
 
 

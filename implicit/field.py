@@ -7,19 +7,17 @@ normals point out; kappa = div n is the sum of the principal curvatures (+2/r on
 from __future__ import annotations
 
 import copy
-import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from os import PathLike, fspath
-from typing import Any, Literal
+from typing import Literal
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
-from torch.func import functional_call
 
-from implicit.arguments import require_callable, require_choice, require_finite, require_numbers, require_positive
+from implicit.arguments import require_choice, require_finite, require_numbers, require_positive
+from implicit.evaluator import Evaluator, OfModule, Parameter, frozen_copy
 
 Bounds = tuple[Sequence[float], Sequence[float]]
 CUBE: Bounds = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
@@ -27,8 +25,6 @@ CUBE: Bounds = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
 # Points evaluated at once: large enough to fill the vector units, small enough that the activations of a
 # network 1024 wide stay within a few hundred megabytes.
 CHUNK = 32768
-
-FORMAT = "implicit-field-1"
 
 
 @dataclass(frozen=True)
@@ -50,15 +46,6 @@ class Units:
     def to_field(self, points: Tensor) -> Tensor:
         """Points (..., D) of the user in the field's units."""
         return (points - torch.as_tensor(self.offset, dtype=points.dtype, device=points.device)) / self.scale
-
-
-@dataclass(frozen=True, eq=False)
-class Parameter:
-    """One named block of theta."""
-
-    name: str
-    shape: torch.Size
-    where: slice
 
 
 class SurfaceError(ValueError):
@@ -101,24 +88,18 @@ class Field:
             )
         blocks = _selected(module, parameters)
         theta = torch.cat([block.detach().reshape(-1) for block in blocks.values()])
-        evaluator = _frozen_copy(module)
         layout = _layout({name: block.shape for name, block in blocks.items()})
-
-        def function(theta: Tensor, points: Tensor) -> Tensor:
-            edited = {block.name: theta[block.where].view(block.shape) for block in layout}
-            return functional_call(evaluator, edited, (points,))
 
         def store(theta: Tensor) -> None:
             with torch.no_grad():
                 for block in layout:
                     blocks[block.name].copy_(theta[block.where].view(block.shape))
 
-        self._setup(function, store, theta, layout, level, inside, bounds, units)
-        self.module: nn.Module | None = evaluator
+        self._set_up(OfModule(frozen_copy(module), layout), store, theta, layout, level, inside, bounds, units)
 
-    def _setup(
+    def _set_up(
         self,
-        function: Callable[[Tensor, Tensor], Tensor],
+        evaluator: Evaluator,
         store: Callable[[Tensor], None],
         theta: Tensor,
         layout: tuple[Parameter, ...],
@@ -127,6 +108,7 @@ class Field:
         bounds: Bounds,
         units: Units | None,
     ) -> None:
+        """Set what a field is, whatever it is made of: here a module, in implicit.decoder a code."""
         require_choice("inside", inside, ("negative", "positive"))
         require_finite("level", level)
         if not torch.isfinite(theta).all():
@@ -150,7 +132,7 @@ class Field:
         self.layout = layout
         self.units = units if units is not None else Units(1.0, (0.0,) * self.dimension)
         self.sign: float = 1.0 if inside == "negative" else -1.0
-        self._raw = function
+        self._evaluator = evaluator
         self._store = store
         self._check_shape_of_values()
 
@@ -159,7 +141,7 @@ class Field:
         probe = self.bounds.mean(dim=0) + torch.zeros(3, self.dimension, dtype=self.dtype, device=self.device)
         with torch.no_grad():
             try:
-                values = self._raw(self.theta, probe)
+                values = self._evaluator(self.theta, probe)
             except Exception as error:
                 raise TypeError(
                     f"The module or decoder could not be evaluated at points of shape (3, {self.dimension}), dtype "
@@ -170,6 +152,11 @@ class Field:
             raise TypeError(f"The module must map 3 points to 3 real values, but gave {came}. Wrap it so that it does.")
 
     # What it is
+
+    @property
+    def module(self) -> nn.Module | None:
+        """What is evaluated, frozen; its own parameters stay as they were. None for a function that is no module."""
+        return self._evaluator.module
 
     @property
     def dimension(self) -> int:
@@ -195,7 +182,7 @@ class Field:
 
     def function(self, theta: Float[Tensor, " p"], points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
         """f(points; theta), differentiable in both arguments and usable under torch.func transforms."""
-        return (self._raw(theta, points).reshape(points.shape[0]) - self.level) * self.sign
+        return (self._evaluator(theta, points).reshape(points.shape[0]) - self.level) * self.sign
 
     def value(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
         """f at the points, in chunks and without a graph; negative inside."""
@@ -295,19 +282,7 @@ class Field:
         other = copy.copy(self)
         other.theta = self.theta.to(dtype=dtype, device=device)
         other.bounds = self.bounds.to(dtype=dtype, device=device)
-        if self.module is not None:
-            module = copy.deepcopy(self.module).to(dtype=dtype, device=device)
-            layout = self.layout
-            if self._raw.__name__ == "decoded":
-                other._raw = _decoded(module)
-            else:
-
-                def function(theta: Tensor, points: Tensor) -> Tensor:
-                    edited = {block.name: theta[block.where].view(block.shape) for block in layout}
-                    return functional_call(module, edited, (points,))
-
-                other._raw = function
-            other.module = module
+        other._evaluator = self._evaluator.to(dtype, device)
         return other
 
     def write_back(self) -> None:
@@ -354,175 +329,6 @@ def require_field(field: Field) -> Field:
     return field
 
 
-def decoder_field(
-    decoder: nn.Module | Callable[[Tensor, Tensor], Tensor],
-    latent: Float[Tensor, " l"],
-    *,
-    level: float | None = None,
-    inside: Literal["negative", "positive"] | None = None,
-    bounds: Bounds | None = None,
-    units: Units | None = None,
-    weights: Iterable[str] | None = None,
-) -> Field:
-    """A field whose parameters are the latent code of a generative model; the decoder itself stays as it is.
-
-    Args:
-        decoder: Maps points (N, D) and one code (L,) to values (N,) or (N, 1).
-        latent: The code (L,) to start from; `write_back` stores the edited code in it.
-        level, inside, bounds: As for Field; None takes the decoder's attribute of that name if it has one, else 0,
-            "negative" and the cube [-1, 1]^3.
-        units: As for Field.
-        weights: Names or patterns of the decoder's own parameters to edit together with the code; None edits the code
-            alone.
-    """
-    require_callable("decoder", decoder, "a function or module of points (N, D) and a code (L,)")
-    if not isinstance(latent, Tensor) or not latent.is_floating_point():
-        raise TypeError(f"latent must be a floating tensor of shape (L,), but is {getattr(latent, 'dtype', latent)!r}.")
-    if latent.ndim != 1 or len(latent) == 0 or latent.is_meta or not bool(torch.isfinite(latent).all()):
-        raise ValueError(
-            f"latent must be one code of shape (L,), of finite numbers, but has shape {tuple(latent.shape)} and is "
-            f"{latent}."
-        )
-    level = getattr(decoder, "level", 0.0) if level is None else level
-    side: Literal["negative", "positive"] = getattr(decoder, "inside", "negative") if inside is None else inside
-    bounds = getattr(decoder, "bounds", CUBE) if bounds is None else bounds
-    if weights is not None:
-        if not isinstance(decoder, nn.Module):
-            raise TypeError(f"weights need a decoder that is a torch module, but it is a {type(decoder).__name__}.")
-        patterns = [weights] if isinstance(weights, str) else list(weights)
-        chosen = ["latent", *(f"decoder.{pattern}" for pattern in patterns)]
-        both = _WithCode(decoder, latent)
-        return Field(both, parameters=chosen, level=level, inside=side, bounds=bounds, units=units)
-    module = _frozen_copy(decoder) if isinstance(decoder, nn.Module) else None
-
-    def store(theta: Tensor) -> None:
-        with torch.no_grad():
-            latent.copy_(theta)
-
-    field = Field.__new__(Field)
-    layout = (Parameter("latent", latent.shape, slice(0, latent.numel())),)
-    function = _decoded(module if module is not None else decoder)
-    field._setup(function, store, latent.detach(), layout, level, side, bounds, units)
-    field.module = module
-    return field
-
-
-class _WithCode(nn.Module):
-    """A decoder with its code as one more parameter, which shares the caller's memory."""
-
-    def __init__(self, decoder: nn.Module, latent: Tensor) -> None:
-        super().__init__()
-        self.latent = nn.Parameter(latent.detach(), requires_grad=False)
-        self.decoder = decoder
-
-    def forward(self, points: Tensor) -> Tensor:
-        return self.decoder(points, self.latent)
-
-
-def _decoded(decoder: nn.Module | Callable[[Tensor, Tensor], Tensor]) -> Callable[[Tensor, Tensor], Tensor]:
-    def decoded(theta: Tensor, points: Tensor) -> Tensor:
-        return decoder(points, theta)
-
-    return decoded
-
-
-def save_field(field: Field, path: str | PathLike[str]) -> None:
-    """Write the field as safetensors: its weights (and code), and its architecture's name and arguments as text.
-
-    Any architecture made by `implicit.models.build` can be saved: it states itself in `describe()`.
-
-    Raises:
-        TypeError: The field's module does not say how it was made.
-    """
-    from safetensors.torch import save
-
-    from implicit.files import as_path, replace_file
-
-    path = as_path(path)
-    module = require_field(field).module
-    describe = getattr(module, "describe", None)
-    if module is None or not callable(describe):
-        raise TypeError(
-            "save_field needs a module that describes itself (Siren, an analytic shape, or a class registered with "
-            f"implicit.models.register), but the field holds a {type(module).__name__}. Save its state_dict yourself."
-        )
-    state = {name: tensor.detach().cpu().contiguous() for name, tensor in module.state_dict().items()}
-    # A decoder's field holds its code beside the weights.
-    for block in field.layout:
-        state[block.name] = field.theta[block.where].view(block.shape).cpu().contiguous()
-    header = {
-        "format": FORMAT,
-        "architecture": describe(),
-        "parameters": [block.name for block in field.layout],
-        "level": field.level,
-        "inside": field.inside,
-        "bounds": field.bounds.tolist(),
-        "units": [field.units.scale, list(field.units.offset)],
-    }
-    if field._raw.__name__ == "decoded":
-        header["latent"] = field.layout[0].name
-    # One entry: safetensors writes several in any order, and the same field should give the same bytes.
-    metadata = {"field": json.dumps(header)}
-    replace_file(path, save({name: tensor.clone() for name, tensor in state.items()}, metadata=metadata))
-
-
-def load_field(path: str | PathLike[str], *, device: torch.device | str = "cpu") -> Field:
-    """Read a field that `save_field` wrote. Nothing in the file is executed.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ValueError: The file is cut short, is no field, or its weights do not fit its architecture.
-    """
-    from safetensors import SafetensorError, safe_open
-
-    from implicit.files import as_path
-    from implicit.models import build
-
-    path = as_path(path)
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"There is no field file {fspath(path)}. Make one with save_field or fit it from a mesh."
-        )
-    try:
-        with safe_open(fspath(path), framework="pt") as file:
-            metadata = file.metadata() or {}
-            state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  a safe_open is no dict
-    except SafetensorError as error:
-        raise ValueError(
-            f"{fspath(path)} is not a whole safetensors file ({error}). It may have been cut short: write it again."
-        ) from error
-    try:
-        header = json.loads(metadata.get("field", "{}"))
-        found = header.get("format")
-    except (ValueError, AttributeError):
-        found = None
-    if found != FORMAT:
-        raise ValueError(
-            f"{fspath(path)} holds no field: its format is {found!r}, wanted {FORMAT!r}. A field is written by "
-            "save_field; the weights of another program belong in its own module, given to Field."
-        )
-    try:
-        module = build(header["architecture"])
-        scale, offset = header["units"]
-        dtypes = {tensor.dtype for tensor in state.values() if tensor.is_floating_point()}
-        module = module.to(device=device, dtype=dtypes.pop() if len(dtypes) == 1 else None)
-        code = state.pop(header["latent"]) if "latent" in header else None
-        module.load_state_dict(state)
-        place: dict[str, Any] = {
-            "level": float(header["level"]),
-            "inside": header["inside"],
-            "bounds": header["bounds"],
-            "units": Units(scale, tuple(offset)),
-        }
-        if code is not None:
-            return decoder_field(module, code.to(device), **place)
-        return Field(module, parameters=header["parameters"], **place)
-    except (KeyError, TypeError, RuntimeError, ValueError) as error:
-        raise ValueError(
-            f"{fspath(path)} does not fit the architecture that it names: {error}. Write it again with save_field."
-        ) from error
-
-
 def _selected(module: nn.Module, patterns: Iterable[str] | None) -> dict[str, nn.Parameter]:
     """The parameters to edit, by name, all of one floating dtype on one device."""
     named = dict(module.named_parameters())
@@ -557,18 +363,6 @@ def _layout(shapes: dict[str, torch.Size]) -> tuple[Parameter, ...]:
         blocks.append(Parameter(name, shape, slice(start, start + shape.numel())))
         start += shape.numel()
     return tuple(blocks)
-
-
-def _frozen_copy(module: nn.Module) -> nn.Module:
-    """A copy in evaluation mode without gradients, detached from the caller's module."""
-    # The older weight norm keeps its product, a tensor with a history, as a plain attribute: deepcopy refuses those.
-    derived = {
-        id(value): value.detach().clone()
-        for part in module.modules()
-        for value in part.__dict__.values()
-        if isinstance(value, Tensor) and not value.is_leaf
-    }
-    return copy.deepcopy(module, derived).eval().requires_grad_(False)
 
 
 def _chunks(points: Tensor) -> Iterator[Tensor]:

@@ -25,7 +25,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from implicit.arguments import require_numbers
-from implicit.field import Bounds, Field, load_field, require_field
+from implicit.field import Bounds, Field, require_field
+from implicit.field_file import load_field
 from implicit.models import build, register
 
 __all__ = [

@@ -51,7 +51,7 @@ class Family:
 
     def field(self, parameters: Float[Tensor, " p"]) -> Field:
         """One shape as a field whose theta are the parameters."""
-        from implicit.field import decoder_field
+        from implicit.decoder import decoder_field
 
         return decoder_field(lambda points, theta: self.distance(theta, points), parameters)
 

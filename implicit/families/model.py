@@ -12,11 +12,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.checkpoints import Decoder, fill, load_checkpoint, read_tensors
+from implicit.decoder import decoder_field
 from implicit.families.airplanes import AIRPLANES
 from implicit.families.chairs import CHAIRS
 from implicit.families.family import Family
 from implicit.families.lamps import LAMPS
-from implicit.field import Field, Units, decoder_field
+from implicit.field import Field, Units
 from implicit.files import replace_file
 from implicit.models.imnet import ImNetEncoder
 
