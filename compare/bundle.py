@@ -14,10 +14,10 @@ from pathlib import Path
 
 import implicit
 import meshref
+from compare.files import replace_file
 from compare.fit import FitReport, fit_mesh
 from implicit import shapes
 from implicit.field import Field
-from implicit.files import replace_file
 
 # A formula's f is no distance near its blends, so its shape is fitted like any other: through the exact distance to a
 # mesh, whose vertices lie on the surface. With this many cells along the cube it is 2e-5 off between them.

@@ -13,7 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
-from compare.records import Record, replace_file
+from compare.files import replace_file
+from compare.records import Record
 from compare.study import Chart, Study, settings_at
 from compare.table import COLUMNS, SIDE_COLOURS, SIDES, Column, number
 

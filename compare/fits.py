@@ -16,8 +16,8 @@ import torch
 
 import meshref
 from compare.case import MESH_SUFFIXES
+from compare.files import replace_file
 from compare.fit import FitReport, fit_mesh
-from compare.records import replace_file
 
 COLUMNS = (
     "mesh",

@@ -13,13 +13,13 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field as default
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from compare.case import Case
+from compare.files import unwritten
 
 SCHEMA = 1
 FILE = "results.jsonl"
@@ -99,9 +99,9 @@ def append(path: str | PathLike[str], record: Record) -> None:
         finally:
             os.close(descriptor)
     except OSError as error:
-        raise _unwritten(Path(path), error.strerror) from error
+        raise unwritten(Path(path), error.strerror) from error
     if written != len(line):
-        raise _unwritten(Path(path), f"only {written} of {len(line)} bytes found room")
+        raise unwritten(Path(path), f"only {written} of {len(line)} bytes found room")
 
 
 def read(path: str | PathLike[str]) -> list[Record]:
@@ -149,32 +149,6 @@ def _cut_torn_line(path: Path) -> None:
                 os.fsync(file.fileno())
     except FileNotFoundError:
         pass
-
-
-def replace_file(path: Path, content: bytes) -> None:
-    """Write a file to the side and move it there in one step, so that nobody sees half of it.
-
-    Raises:
-        OSError: It cannot be written.
-    """
-    if path.is_dir():
-        raise IsADirectoryError(f"{path} is a folder and cannot be written as a file. Name a file in it.")
-    side = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        side.write_bytes(content)
-        os.replace(side, path)
-    except OSError as error:
-        raise _unwritten(path, error.strerror) from error
-    finally:
-        with suppress(OSError):
-            side.unlink()
-
-
-def _unwritten(path: Path, why: str | None) -> OSError:
-    return OSError(
-        f"{path} cannot be written: {why}. Name a folder that is there and may be written to, on a disk with room; "
-        "what stood there before is untouched."
-    )
 
 
 def plain(value: Any) -> Any:

@@ -19,8 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from compare.files import replace_file
 from compare.labels import labels
-from compare.records import Record, plain, replace_file
+from compare.records import Record, plain
 from compare.report_parts import (
     CHARTS,
     curves_of,

@@ -17,9 +17,10 @@ from os import PathLike
 from pathlib import Path
 
 from compare.case import Case, content_of
+from compare.files import replace_file
 from compare.labels import flat
 from compare.lock import FILE as LOCK_FILE, lock
-from compare.records import FILE, Record, read, replace_file
+from compare.records import FILE, Record, read
 from compare.study import Study, find_study
 from compare.subject import InputError, Progress, check_shape
 

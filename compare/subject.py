@@ -19,7 +19,8 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from compare.case import FIELD_SUFFIX, MESH_SUFFIXES, Case
-from compare.records import plain, replace_file
+from compare.files import replace_file
+from compare.records import plain
 
 if TYPE_CHECKING:
     from implicit import Field

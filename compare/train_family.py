@@ -9,10 +9,10 @@ from typing import Any
 
 import torch
 
+from compare.files import replace_file
 from implicit import families
 from implicit.checkpoints import Architecture
 from implicit.families.train import VALIDATION_SEED, summary
-from implicit.files import replace_file
 
 DEFAULTS = {"shapes": 400, "latent": 16, "width": 128, "steps": 2500, "batch": 9600, "validation": 40, "seed": 0}
 

@@ -59,8 +59,8 @@ def fit(command: Fit) -> int:
 
     import implicit
     import meshref
+    from compare.files import replace_file
     from compare.fit import fit_mesh
-    from compare.records import replace_file
 
     V, F = meshref.read_mesh(command.mesh)
     with progress_bars(command.quiet) as bars:

@@ -12,7 +12,8 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from compare.records import plain, replace_file
+from compare.files import replace_file
+from compare.records import plain
 
 FILE = "findings.json"
 SCHEMA = 1

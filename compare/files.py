@@ -1,0 +1,34 @@
+"""Files are written to the side and moved into place, so that an interruption leaves the old one whole."""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from pathlib import Path
+
+
+def replace_file(path: Path, content: bytes) -> None:
+    """Write a file to the side and move it there in one step, so that nobody sees half of it.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    if path.is_dir():
+        raise IsADirectoryError(f"{path} is a folder and cannot be written as a file. Name a file in it.")
+    side = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        side.write_bytes(content)
+        os.replace(side, path)
+    except OSError as error:
+        raise unwritten(path, error.strerror) from error
+    finally:
+        with suppress(OSError):
+            side.unlink()
+
+
+def unwritten(path: Path, why: str | None) -> OSError:
+    """What to raise where a file could not be written."""
+    return OSError(
+        f"{path} cannot be written: {why}. Name a folder that is there and may be written to, on a disk with room; "
+        "what stood there before is untouched."
+    )
