@@ -139,6 +139,8 @@ def picture(
         bar = figure.colorbar(ScalarMappable(Normalize(-limit, limit), COLOURS), ax=list(row[1:]), shrink=0.8, pad=0.01)
         bar.set_label(_wrapped(error_label(record)), fontsize=6)
         bar.ax.tick_params(labelsize=6)
+        if min(float(views[side].values.min()) for side in ("implicit", "mesh")) >= 0:  # a strain has no other half
+            bar.ax.set_ylim(0, limit)
     return figure
 
 
