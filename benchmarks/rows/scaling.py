@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 import subprocess
 import sys
 import time
@@ -10,6 +9,7 @@ import time
 import torch
 
 import implicit
+from compare.memory import with_peak_memory
 from implicit import shapes
 from implicit.deformation import DeformationSpace
 from implicit.energies import NormalTarget
@@ -86,14 +86,11 @@ def large_step() -> None:
     field = decoder_of_8_by_512()
     sample = implicit.sample_surface(field, 20_000, resolution=32)
     handle = implicit.Handle(implicit.Ball((0.0, 0.5, 0.0), 0.2, falloff=0.3), implicit.Along(0.01))
-    start = time.perf_counter()
-    edit = implicit.geometric_edit(field, handle, parts=1, points=sample, damping=1e-2)
-    seconds = time.perf_counter() - start
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    edit, peak = with_peak_memory(lambda: implicit.geometric_edit(field, handle, parts=1, points=sample, damping=1e-2))
     error = edit.error_field()
     print(
-        f"8 x 512, P = {len(field.theta):,}, 20,000 points: {peak:.2f} GiB at the peak, {seconds:.0f} s, rms error "
-        f"{float(error.square().mean().sqrt()):.3f} of the target, {edit.history[0]['solve_status']}"
+        f"8 x 512, P = {len(field.theta):,}, 20,000 points: {edit.seconds:.0f} s, {peak} MB beside field and points, "
+        f"rms error {float(error.square().mean().sqrt()):.3f} of the target, {edit.history[0]['solve_status']}"
     )
 
 
