@@ -78,7 +78,7 @@ class Edit:
         seconds: Wall time.
         asked: From points and normals of the unedited surface (N, D) to what was asked there: the displacement, NaN
             where nothing was, and the unit normals the points take along. None where only `wanted` is known.
-        before, after: How sound the field was and is, of geometric edits.
+        before, after: How sound the field was and is, of geometric and rigid edits.
         notes: What has become worse, a sentence each.
     """
 

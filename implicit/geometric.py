@@ -16,15 +16,15 @@ from torch import Tensor
 from implicit.arguments import require_positive, require_whole
 from implicit.displacement import MOST_PARTS, OFF_SURFACE_STRENGTH, Displacement, Splitting
 from implicit.edit import Edit, EditStatus, Progress, require_options
+from implicit.evidence import with_evidence
 from implicit.evolve import evolve
-from implicit.extraction import SurfaceError
 from implicit.field import Field
 from implicit.functionals import Functional
 from implicit.goal import Goal, Rest, checked_handles
 from implicit.guard import checked_constraints
 from implicit.regions import Handle
 from implicit.sampling import carrying_points
-from implicit.soundness import Soundness, changes, field_soundness
+from implicit.soundness import field_soundness
 from implicit.surface import SurfaceSample
 
 
@@ -101,19 +101,6 @@ def geometric_edit(
     if edit.status is EditStatus.REACHED:  # the whole way was gone in fewer parts than there might have been
         edit = replace(edit, status=EditStatus.DONE)
     return with_evidence(edit, before, resolution)
-
-
-def with_evidence(edit: Edit, before: Soundness, resolution: int) -> Edit:
-    """The edit with how sound its field was and is."""
-    try:
-        after = field_soundness(edit.field, resolution)
-    except SurfaceError as error:
-        notes = (f"The edited field cannot be meshed as it is: {error}",)
-        return replace(edit, before=before, notes=notes, status=EditStatus.STRAY_PIECES)
-    edit = replace(edit, before=before, after=after, notes=changes(before, after))
-    if edit.status is EditStatus.DONE and after.pieces > before.pieces:
-        edit = replace(edit, status=EditStatus.STRAY_PIECES)
-    return edit
 
 
 def _asked(goal: Goal) -> tuple[Tensor, Tensor]:

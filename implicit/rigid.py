@@ -24,6 +24,7 @@ from implicit.arguments import require_positive, require_whole
 from implicit.deformation import DeformationSpace, spanned
 from implicit.edit import Edit, Progress, Row, require_options
 from implicit.energies import Energy, Killing, VectorTarget
+from implicit.evidence import with_evidence
 from implicit.evolve import evolve
 from implicit.field import Field, require_field
 from implicit.functionals import Area, Functional, Volume
@@ -34,6 +35,7 @@ from implicit.plain import is_plain
 from implicit.regions import Handle
 from implicit.rigid_motion import Placement
 from implicit.sampling import carrying_points
+from implicit.soundness import field_soundness
 from implicit.step import State, StepProblem
 from implicit.surface import SurfaceSample
 from implicit.tangential import CosineFeatures, TangentialModel
@@ -95,10 +97,14 @@ def rigid_edit(
         off_surface_strength: How firmly the field away from the surface is tied to the surface's motion, see
             implicit.offsurface. 0 leaves it alone.
         constraints: Functionals to hold, such as Volume().
-        resolution: Of the quadrature that measures the constraints.
+        resolution: Of the quadrature that measures the constraints, and of the pieces of the surface that are counted.
         track: Further surface points (M, D) to carry along.
         progress: Called after each step.
         seed: Of the random points and features.
+
+    Returns:
+        The edit. `before` and `after` say how sound the field is, `notes` what has become worse, and whether the points
+        are too few to see the strain.
 
     Raises:
         ValueError: The field is not 3D, a region misses the surface, or the handles leave a rigid motion free
@@ -111,6 +117,7 @@ def rigid_edit(
     settings = RigidSettings(steps, alpha, bending, thickness, damping, off_surface_strength, seed)
     precise, sample, operation = prepare(field, handles, settings, tangential, points)
     tracked = None if track is None else track.to(precise.theta)
+    before = field_soundness(field, resolution)
     whole = operation.placement(1.0)
     if _can_be_placed(precise, whole, sample, constraints):
         start = whole.field(precise)
@@ -128,7 +135,7 @@ def rigid_edit(
         wanted=operation.wanted() + sample.points - whole.at(sample.points),
         progress=progress,
     )
-    return replace(
+    edit = replace(
         edit,
         field=edit.field.to(field.dtype),
         points=sample.points,
@@ -137,6 +144,7 @@ def rigid_edit(
         wanted=operation.wanted(),
         notes=(*edit.notes, *operation.notes(len(field.theta))),
     )
+    return with_evidence(edit, before, resolution)
 
 
 def _can_be_placed(field: Field, whole: Placement, sample: SurfaceSample, constraints: Sequence[Functional]) -> bool:

@@ -23,7 +23,7 @@ from implicit import (
     surface_quadrature,
 )
 from implicit.edit import EditStatus
-from implicit.geometric import with_evidence
+from implicit.evidence import with_evidence
 from tests.implicit.conftest import Occupancy
 
 EVERYWHERE = Ball((0, 0, 0), 10.0)
