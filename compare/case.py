@@ -48,12 +48,12 @@ POSITIVE = {"radius": 0.0, "falloff": 0.0}
 FULL: dict[Operation, dict[str, Any]] = {
     "geometric": {},
     "smooth": {"steps": 8, "step_size": 1e-3, "implicit": {"points": 2000}},
-    "rigid": {"implicit": {"steps": 3, "points": 1000}},
+    "rigid": {"implicit": {"steps": 3, "points": 2000}},
 }
 QUICK: dict[Operation, dict[str, Any]] = {
     "geometric": {"implicit": {"parts": 4, "points": 1000}},
     "smooth": {"steps": 4, "step_size": 1e-3, "implicit": {"points": 1000, "resolution": 32}},
-    "rigid": {"implicit": {"steps": 3, "points": 500}},
+    "rigid": {"implicit": {"steps": 3, "points": 1000}},
 }
 QUICK_SIZE = {"vertices": 1200, "resolution": 48}
 QUICK_FIT = {"steps": 600}  # for a shape given as a mesh
