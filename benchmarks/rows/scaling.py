@@ -88,8 +88,9 @@ def large_step() -> None:
     handle = implicit.Handle(implicit.Ball((0.0, 0.5, 0.0), 0.2, falloff=0.3), implicit.Along(0.01))
     edit, peak = with_peak_memory(lambda: implicit.geometric_edit(field, handle, parts=1, points=sample, damping=1e-2))
     error = edit.error_field()
+    known = "memory unknown" if peak is None else f"{peak:.0f} MB beside field and points"
     print(
-        f"8 x 512, P = {len(field.theta):,}, 20,000 points: {edit.seconds:.0f} s, {peak} MB beside field and points, "
+        f"8 x 512, P = {len(field.theta):,}, 20,000 points: {edit.seconds:.0f} s, {known}, "
         f"rms error {float(error.square().mean().sqrt()):.3f} of the target, {edit.history[0]['solve_status']}"
     )
 
