@@ -111,6 +111,7 @@ def paint_with_pyvista(axes: Axes, view: View, colours: Float[ndarray, "m 3"], c
         picture = plotter.screenshot(transparent_background=True, return_img=True)
     finally:
         plotter.close()
+    assert picture is not None  # as asked for by return_img
     axes.imshow(picture, extent=(lower[0], upper[0], lower[1], upper[1]), interpolation="antialiased")
     axes.set_aspect("equal")
     axes.set_axis_off()
