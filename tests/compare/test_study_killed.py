@@ -16,7 +16,7 @@ import implicit
 import implicit.shapes
 from compare.records import FILE, read
 
-CASES, KILLS = map(int, os.environ.get("IMPLICIT_VS_MESH_KILLS", "6 2").split())
+CASES, KILLS = map(int, os.environ.get("IMPLICIT_VS_MESH_KILLS", "10 2").split())
 PATIENCE = 600  # seconds for a step of this test on a machine with much else to do
 
 STUDY = """
@@ -65,7 +65,7 @@ def test_a_study_that_is_killed_and_interrupted_ends_with_every_row_once(tmp_pat
         process = begin(tmp_path)
         # Some of the moments lie in the start of the program, most of them between the rows and in the middle of one.
         wait_for_rows(tmp_path, rows(tmp_path) + moments.randint(0, min(2, CASES - rows(tmp_path) - 2)), process)
-        time.sleep(moments.uniform(0, 1.0))
+        time.sleep(moments.uniform(0, 0.3))
         process.kill()
         process.communicate()
         assert process.returncode == -signal.SIGKILL, "The study ended before it was killed."

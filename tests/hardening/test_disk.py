@@ -10,7 +10,7 @@ import pytest
 import implicit
 import meshref
 from compare import Case, Record, records
-from compare.records import replace_file as replace_text
+from compare.files import replace_file as replace_text
 from implicit import shapes
 
 V, F = meshref.icosphere(2)
