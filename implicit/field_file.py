@@ -9,6 +9,7 @@ from typing import Any
 import torch
 
 from implicit.decoder import decoder_field
+from implicit.evaluator import OfDecoder
 from implicit.field import Field, Units, require_field
 
 FORMAT = "implicit-field-1"
@@ -47,7 +48,7 @@ def save_field(field: Field, path: str | PathLike[str]) -> None:
         "bounds": field.bounds.tolist(),
         "units": [field.units.scale, list(field.units.offset)],
     }
-    if field.layout[0].name not in module.state_dict():
+    if isinstance(field._evaluator, OfDecoder):
         header["latent"] = field.layout[0].name
     # One entry: safetensors writes several in any order, and the same field should give the same bytes.
     metadata = {"field": json.dumps(header)}

@@ -188,11 +188,11 @@ def prepare(
     handles = checked_handles(handles)
     if tangential is not None and not callable(getattr(tangential, "slopes", None)):
         raise TypeError(f"tangential must be None or a model such as CosineFeatures(field), but is {tangential!r}.")
-    if (_combinations(len(field.theta)) or COMBINATIONS) < FEWEST_COMBINATIONS:
+    most = NUMBERS // FEWEST_COMBINATIONS
+    if len(field.theta) > most:
         raise ValueError(
-            f"The field has {len(field.theta):,} parameters; a rigid edit takes up to "
-            f"{NUMBERS // FEWEST_COMBINATIONS:,}. Edit some of them alone, such as those of the last layers: "
-            "Field(module, parameters=[...])."
+            f"The field has {len(field.theta):,} parameters; a rigid edit takes up to {most:,}. Edit some "
+            "of them alone, such as those of the last layers: Field(module, parameters=[...])."
         )
     precise = field.to(torch.float64)
     points = points.to(torch.float64) if isinstance(points, SurfaceSample) else points

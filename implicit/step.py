@@ -104,7 +104,7 @@ def _is_cheaper_by_products(problem: StepProblem) -> bool:
     if space.directions is not None or not is_plain(space.field):
         return False
     for energy in problem.energies:
-        if not isinstance(energy, (NormalTarget, FieldTarget)) or getattr(energy, "tied", None) is not None:
+        if not isinstance(energy, NormalTarget) and not (isinstance(energy, FieldTarget) and energy.tied is None):
             return False
         count += len(energy.target)
     return count < space.size

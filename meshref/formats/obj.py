@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from meshref.formats.text import DamageError, as_mesh, lines_of, numbers
+from meshref.formats.text import DamageError, as_mesh, exact, lines_of, numbers
 from meshref.topology import FloatArray, IntArray
 
 
@@ -58,7 +58,6 @@ def _read_plain(content: bytes) -> tuple[FloatArray, IntArray] | None:
 
 
 def written(V: FloatArray, F: IntArray) -> bytes:
-    """The content of a file, whose coordinates come back to the last bit: repr is the shortest text that does."""
-    points = [" ".join(map(repr, p)) for p in V.tolist()]
+    """The content of a file, whose coordinates come back to the last bit."""
     corners = [f"f {a} {b} {c}" for a, b, c in (F + 1).tolist()]
-    return "\n".join([*(f"v {p}" for p in points), *corners, ""]).encode()
+    return "\n".join([*(f"v {point}" for point in exact(V)), *corners, ""]).encode()

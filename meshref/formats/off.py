@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from meshref.formats.text import DamageError, as_mesh, lines_of, numbers
+from meshref.formats.text import DamageError, as_mesh, exact, lines_of, numbers
 from meshref.topology import FloatArray, IntArray
 
 
@@ -41,7 +41,6 @@ def read(content: bytes) -> tuple[FloatArray, IntArray]:
 
 
 def written(V: FloatArray, F: IntArray) -> bytes:
-    """The content of a file, whose coordinates come back to the last bit: repr is the shortest text that does."""
-    points = [" ".join(map(repr, p)) for p in V.tolist()]
+    """The content of a file, whose coordinates come back to the last bit."""
     corners = [f"3 {a} {b} {c}" for a, b, c in F.tolist()]
-    return "\n".join(["OFF", f"{len(V)} {len(F)} 0", *points, *corners, ""]).encode()
+    return "\n".join(["OFF", f"{len(V)} {len(F)} 0", *exact(V), *corners, ""]).encode()

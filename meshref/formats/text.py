@@ -37,3 +37,8 @@ def as_mesh(vertices: list[list[float]], polygons: list[list[int]]) -> tuple[Flo
         return V, np.array(fans, dtype=np.int64).reshape(-1, 3)
     except OverflowError:
         raise DamageError("a face names a vertex whose number has more than 18 digits") from None
+
+
+def exact(V: FloatArray) -> list[str]:
+    """A line for each vertex; repr is the shortest text that comes back to the last bit."""
+    return [" ".join(map(repr, point)) for point in V.tolist()]
