@@ -4,7 +4,7 @@ import torch
 
 import implicit
 from benchmarks.common import DEVICES, require, sizes
-from implicit.sensitivity import basis, parameter_gradient_and_slope
+from implicit.sensitivity.boundary_sensitivity import basis, parameter_gradient_and_slope
 
 ROOM = 2**30  # bytes that B may take here
 

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 import implicit
-from compare.rigidity import mesh_of
+from compare.paper.rigidity import mesh_of
 from implicit import shapes
 
 DEVICES = ("cpu", "cuda")

@@ -18,7 +18,7 @@ import torch
 import implicit
 import meshref
 from implicit import shapes
-from implicit.tangential import CosineFeatures
+from implicit.step.tangential_basis import CosineFeatures
 
 Progress = Callable[..., None]
 BALL = shapes.sphere(0.5)

@@ -2,7 +2,7 @@
 
 
 class Import:
-    """Each in a fresh interpreter; torch alone is the floor of `implicit` and `compare.run`."""
+    """Each in a fresh interpreter; torch alone is the floor of `implicit` and `compare.runs.run`."""
 
     def timeraw_nothing(self):
         """The interpreter alone: the baseline to subtract."""

@@ -14,10 +14,11 @@ import torch
 import implicit
 import meshref
 from benchmarks.common import leave_out_if_slow, sizes, spot
-from compare.case import Case, HandleSpec, default_cases
-from compare.operations import wanted_motion
-from compare.subject import prepare_subject
-from implicit.tangential_network import TrainedStep, trained_rigid_step
+from compare.cases.case import Case, HandleSpec
+from compare.cases.default_cases import default_cases
+from compare.runs.operations import wanted_motion
+from compare.runs.subject import prepare_subject
+from implicit.edits.trained_rigid_step import TrainedStep, trained_rigid_step
 
 # Motions are scaled by this: one step is linear, and its strain is compared with that of a linear solve.
 SMALL = 0.1

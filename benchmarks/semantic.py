@@ -7,8 +7,8 @@ import torch
 import implicit
 from benchmarks.common import is_quick, sizes
 from implicit import families
-from implicit.extraction import newton_to_surface
 from implicit.models import DeepSdf, DualSdf, ImNet
+from implicit.surface.projection import newton_to_surface
 
 MODELS = {"imnet": ImNet, "dualsdf": DualSdf, "deepsdf": DeepSdf}
 POINTS = 100

@@ -4,8 +4,8 @@ import torch
 
 import implicit
 from benchmarks.common import DEVICES, sizes, spot
-from implicit.sensitivity import basis
-from implicit.solve import LeastSquares, Rows
+from implicit.sensitivity.boundary_sensitivity import basis
+from implicit.step.least_squares import LeastSquares, Rows
 
 METHODS = ("primal", "dual", "qr", "cg")
 

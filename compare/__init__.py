@@ -8,35 +8,37 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from compare.report import report  # here, for a later import of its module would take the function's place
+from compare.reports.report import report  # here, for a later import of its module would take the function's place
 
 if TYPE_CHECKING:
-    from compare.case import Case, HandleSpec, default_cases
-    from compare.executors import Workers
-    from compare.fit import FitReport, fit_mesh
-    from compare.records import Record
-    from compare.run import run_case, run_cases
-    from compare.study import Study, find_study
-    from compare.study_folder import run_study
-    from compare.subject import InputError, Subject, prepare_subject
+    from compare.cases.case import Case, HandleSpec
+    from compare.cases.default_cases import default_cases
+    from compare.errors import InputError
+    from compare.fitting.fit import FitReport, fit_mesh
+    from compare.runs.executors import Workers
+    from compare.runs.records import Record
+    from compare.runs.run import run_case, run_cases
+    from compare.runs.subject import Subject, prepare_subject
+    from compare.studies.study import Study, find_study
+    from compare.studies.study_folder import run_study
 
 # Where each public name lives. Its module is imported when the name is first used.
 _MODULES = {
-    "run_case": "run",
-    "run_cases": "run",
-    "run_study": "study_folder",
-    "find_study": "study",
-    "Study": "study",
-    "Workers": "executors",
-    "Case": "case",
-    "HandleSpec": "case",
-    "default_cases": "case",
-    "Record": "records",
-    "fit_mesh": "fit",
-    "FitReport": "fit",
-    "prepare_subject": "subject",
-    "Subject": "subject",
-    "InputError": "subject",
+    "run_case": "runs.run",
+    "run_cases": "runs.run",
+    "run_study": "studies.study_folder",
+    "find_study": "studies.study",
+    "Study": "studies.study",
+    "Workers": "runs.executors",
+    "Case": "cases.case",
+    "HandleSpec": "cases.case",
+    "default_cases": "cases.default_cases",
+    "Record": "runs.records",
+    "fit_mesh": "fitting.fit",
+    "FitReport": "fitting.fit",
+    "prepare_subject": "runs.subject",
+    "Subject": "runs.subject",
+    "InputError": "errors",
 }
 
 __all__ = [

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 
 def replace_file(path: Path, content: bytes) -> None:
@@ -32,3 +35,18 @@ def unwritten(path: Path, why: str | None) -> OSError:
         f"{path} cannot be written: {why}. Name a folder that is there and may be written to, on a disk with room; "
         "what stood there before is untouched."
     )
+
+
+def plain(value: Any) -> Any:
+    """The value in the words of JSON: arrays become lists, numbers that JSON cannot say become None."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, bool | str | int) or value is None:
+        return value
+    if hasattr(value, "tolist"):  # numpy and torch, scalars and arrays
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    raise TypeError(f"A record holds numbers, words, lists and dicts, but got a {type(value).__name__}: {value!r}.")

@@ -4,7 +4,7 @@ import os
 
 from hypothesis import settings
 
-# OpenMP reads it when torch is imported; see compare.cli.main.
+# OpenMP reads it when torch is imported; see compare.commands.cli.main.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 if "PYTEST_XDIST_WORKER" in os.environ:  # there is a process a core already
     os.environ.setdefault("OMP_NUM_THREADS", "1")

@@ -8,17 +8,17 @@ from torch.func import grad, vmap
 
 import implicit
 from implicit import shapes
-from implicit.deformation import DeformationSpace
-from implicit.energies import NormalTarget
-from implicit.sensitivity import normal_displacement
-from implicit.step import StepProblem, assemble
+from implicit.sensitivity.boundary_sensitivity import normal_displacement
+from implicit.step.deformation import DeformationSpace
+from implicit.step.energies import NormalTarget
+from implicit.step.problem import StepProblem, assemble
 
 
 def edit_step() -> None:
     """One step of a geometric edit at P = 2273: the published formula at 10,000 random points, ours at 1500 even ones.
 
     Both are given their points. So few must be as far apart as can be, and take less damping for the same error; the
-    products of their rows with each other come from the layers' (implicit.plain).
+    products of their rows with each other come from the layers' (implicit.sensitivity.closed_form).
     """
     field = shapes.bundled("spot")
     precise = field.to(torch.float64)

@@ -7,11 +7,11 @@ from rows.table import best
 
 import implicit
 from implicit import shapes
-from implicit.deformation import DeformationSpace
-from implicit.energies import NormalTarget
 from implicit.models import DeepSdf
-from implicit.sensitivity import basis
-from implicit.step import StepProblem, assemble
+from implicit.sensitivity.boundary_sensitivity import basis
+from implicit.step.deformation import DeformationSpace
+from implicit.step.energies import NormalTarget
+from implicit.step.problem import StepProblem, assemble
 
 
 def floor() -> None:

@@ -15,7 +15,7 @@ import torch
 
 import implicit
 import meshref
-from compare.rigidity import mesh_of
+from compare.paper.rigidity import mesh_of
 from implicit import families, shapes
 
 # Kinds of work, by the files and names of the functions whose own time counts; what is in none of them is the rest.

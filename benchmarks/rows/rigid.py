@@ -12,8 +12,8 @@ from rows.table import best, row
 import implicit
 import meshref
 from compare import Case, Subject, default_cases, prepare_subject
-from compare.operations import Outcome, Wanted, edit_field, wanted_motion
-from compare.rigidity import POINTS, mesh_of, pulled_case, rigidity
+from compare.paper.rigidity import POINTS, mesh_of, pulled_case, rigidity
+from compare.runs.operations import Outcome, Wanted, edit_field, wanted_motion
 
 VERTICES = (3_500, 35_000, 140_000)
 

@@ -9,10 +9,10 @@ import time
 import torch
 
 import implicit
-from compare.memory import with_peak_memory
+from compare.runs.memory import with_peak_memory
 from implicit import shapes
-from implicit.deformation import DeformationSpace
-from implicit.energies import NormalTarget
+from implicit.step.deformation import DeformationSpace
+from implicit.step.energies import NormalTarget
 
 
 def scaling() -> None:

@@ -10,10 +10,10 @@ from torch.func import grad, vmap
 
 import implicit
 from implicit import families
-from implicit.deformation import DeformationSpace
-from implicit.energies import NormalTarget
 from implicit.models import DeepSdf
-from implicit.step import StepProblem, assemble
+from implicit.step.deformation import DeformationSpace
+from implicit.step.energies import NormalTarget
+from implicit.step.problem import StepProblem, assemble
 
 DAMPING = 0.1
 LEFT = 0.05  # of the way, where both stop

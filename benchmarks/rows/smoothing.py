@@ -6,7 +6,7 @@ from rows.table import best, row
 
 import implicit
 import meshref
-from compare.rigidity import mesh_of
+from compare.paper.rigidity import mesh_of
 from implicit import shapes
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from compare.subject import InputError
+from compare.errors import InputError
 
 
 def require_new_safetensors(what: str, path: Path) -> None:

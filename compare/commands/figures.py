@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from compare.records import latest
-from compare.subject import InputError
+from compare.errors import InputError
+from compare.runs.records import latest
 
 
 @dataclass
@@ -31,7 +31,8 @@ class Figures:
 
 def figures(command: Figures) -> int:
     """Paint the pictures from the rows and meshes that are there."""
-    from compare.figures import Camera, draw_figures, usable_painter
+    from compare.reports.figures import draw_figures, usable_painter
+    from compare.reports.views import Camera
 
     camera = None if command.azimuth is None else Camera(command.azimuth)
     try:

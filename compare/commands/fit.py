@@ -9,10 +9,11 @@ from typing import Annotated, Literal
 
 import tyro
 
-from compare.case import MESH_SUFFIXES
+from compare.cases.case import MESH_SUFFIXES
 from compare.commands.checks import require_folder_for, require_new_safetensors, require_seed
 from compare.commands.shown import add_task, progress_bars, speaker, teller
-from compare.subject import InputError, check_shape
+from compare.errors import InputError
+from compare.runs.subject import check_shape
 
 
 @dataclass
@@ -60,7 +61,7 @@ def fit(command: Fit) -> int:
     import implicit
     import meshref
     from compare.files import replace_file
-    from compare.fit import fit_mesh
+    from compare.fitting.fit import fit_mesh
 
     V, F = meshref.read_mesh(command.mesh)
     with progress_bars(command.quiet) as bars:

@@ -11,7 +11,7 @@ import tyro
 from compare.commands import exits
 from compare.commands.checks import require_folder_for
 from compare.commands.shown import add_task, progress_bars, speaker, teller
-from compare.subject import InputError
+from compare.errors import InputError
 
 
 @dataclass

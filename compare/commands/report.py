@@ -7,8 +7,8 @@ from pathlib import Path
 
 import tyro
 
-from compare.records import latest
-from compare.subject import InputError
+from compare.errors import InputError
+from compare.runs.records import latest
 
 
 @dataclass
@@ -21,7 +21,7 @@ class Report:
 
 def report(command: Report) -> int:
     """Write the page from the rows and meshes that are there."""
-    from compare.report import report as write_report
+    from compare.reports.report import report as write_report
 
     try:
         page = write_report(latest(command.folder), command.folder / "report.html")

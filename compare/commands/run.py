@@ -11,14 +11,16 @@ from typing import Annotated, Any, Literal
 import tyro
 from numpy import ndarray
 
-from compare.case import OPERATIONS, QUICK_FIT, QUICK_SIZE, Case, default_cases
+from compare.cases.case import BUNDLED, OPERATIONS, Case
+from compare.cases.default_cases import QUICK_FIT, QUICK_SIZE, default_cases
 from compare.commands.checks import require_folder_for, require_seed
 from compare.commands.exits import FAILED
 from compare.commands.shown import add_task, advance, print_json, print_table, progress_bars, speaker, teller
-from compare.executors import WorkerDiedError, executor_of
-from compare.lock import lock
-from compare.records import FILE, read
-from compare.subject import BUNDLED, InputError, Progress, check_shape, prepare_subject
+from compare.errors import InputError, Progress
+from compare.runs.executors import WorkerDiedError, executor_of
+from compare.runs.lock import lock
+from compare.runs.records import FILE, read
+from compare.runs.subject import check_shape, prepare_subject
 
 
 @dataclass
@@ -60,8 +62,8 @@ def run(command: Run) -> int:
     for sentence in mended:
         say(sentence)
 
-    from compare.report import report as write_report
-    from compare.run import run_cases
+    from compare.reports.report import report as write_report
+    from compare.runs.run import run_cases
 
     folder.mkdir(parents=True, exist_ok=True)
     with (

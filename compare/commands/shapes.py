@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from compare.subject import BUNDLED
+from compare.cases.case import BUNDLED
 
 
 @dataclass

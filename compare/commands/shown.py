@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from json import dumps
 from typing import TYPE_CHECKING, Any
 
-from compare.records import Record
+from compare.runs.records import Record
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bars
@@ -93,7 +93,7 @@ def print_table(records: Sequence[Record], *, settings: Sequence[str] = (), said
     from rich.console import Console
     from rich.table import Table
 
-    from compare.table import COLUMNS, lines, text
+    from compare.runs.columns import COLUMNS, lines, text
 
     columns = [(k, column) for k, column in enumerate(COLUMNS) if column.brief]
     table = Table("shape", "edit", "by", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
@@ -115,7 +115,7 @@ def print_table(records: Sequence[Record], *, settings: Sequence[str] = (), said
 
 
 def _setting(record: Record, name: str) -> str:
-    from compare.plan import setting_of
+    from compare.cases.settings import setting_of
 
     value = setting_of(record.case, name)
     return "" if value is None else str(value)

@@ -9,16 +9,16 @@ from typing import Annotated, Any
 
 import tyro
 
-from compare import study as studies
-from compare.case import Case
+from compare.cases.case import Case
+from compare.cases.labels import labels
 from compare.commands import exits
 from compare.commands.checks import require_folder_for
 from compare.commands.shown import add_task, advance, print_json, print_table, progress_bars, speaker, teller
-from compare.executors import executor_of
-from compare.labels import labels
-from compare.records import Record
-from compare.study_folder import STUDY_FILE, Begun, finished, run_study
-from compare.subject import InputError
+from compare.errors import InputError
+from compare.runs.executors import executor_of
+from compare.runs.records import Record
+from compare.studies import study as studies
+from compare.studies.study_folder import STUDY_FILE, Begun, finished, run_study
 
 
 @dataclass

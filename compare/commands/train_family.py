@@ -10,7 +10,7 @@ import tyro
 
 from compare.commands.checks import require_folder_for, require_new_safetensors, require_seed
 from compare.commands.shown import add_task, progress_bars, teller
-from compare.subject import InputError
+from compare.errors import InputError
 
 
 @dataclass
@@ -60,7 +60,7 @@ def train_family(command: TrainFamily) -> int:
 
     import torch
 
-    from compare.train_family import train_and_save
+    from compare.fitting.train_family import train_and_save
 
     try:
         torch.device(command.device)

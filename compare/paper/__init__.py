@@ -14,7 +14,7 @@ from time import perf_counter, process_time
 from compare.files import replace_file
 from compare.paper.findings import FILE, Finding, Measured, read_measured, table, write_measured
 from compare.paper.request import Request, Tell
-from compare.provenance import surroundings
+from compare.runs.provenance import surroundings
 
 __all__ = ["PARTS", "Finding", "Measured", "Request", "draw_parts", "pictures"]
 

@@ -12,8 +12,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from compare.files import replace_file
-from compare.records import plain
+from compare.files import plain, replace_file
 
 FILE = "findings.json"
 SCHEMA = 1

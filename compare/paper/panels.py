@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from numpy import ndarray
 
 import implicit
-from compare.figures import COLOURS, SURFACE, Camera, paint
-from compare.views import View
+from compare.reports.figures import COLOURS, SURFACE, paint
+from compare.reports.views import Camera, View
 
 # Of shapes that face another way than most, so that they are not seen from behind.
 AZIMUTH = {"spot": 300.0}

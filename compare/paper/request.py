@@ -7,8 +7,9 @@ from dataclasses import dataclass, field as default
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from compare.case import Case, content_of
-from compare.subject import InputError, Subject, check_shape, prepare_subject
+from compare.cases.case import Case, content_of
+from compare.errors import InputError
+from compare.runs.subject import Subject, check_shape, prepare_subject
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

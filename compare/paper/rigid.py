@@ -20,17 +20,17 @@ from matplotlib.figure import Figure
 from numpy import ndarray
 
 import meshref
-from compare.case import Case
-from compare.figures import HELD, MOVED, SURFACE, Camera, paint
-from compare.measure import measure, strain
-from compare.operations import Outcome, Wanted, edit_field, edit_mesh, edit_mesh_by_arap, wanted_motion
+from compare.cases.case import Case
 from compare.paper.findings import Finding
 from compare.paper.panels import same_frame
 from compare.paper.request import Request
-from compare.rigidity import mesh_seconds, pulled_case, rigidity
-from compare.scenes import PAPER, rigid_scene
-from compare.subject import Subject
-from compare.views import View
+from compare.paper.rigidity import mesh_seconds, pulled_case, rigidity
+from compare.paper.scenes import PAPER, rigid_scene
+from compare.reports.figures import HELD, MOVED, SURFACE, paint
+from compare.reports.views import Camera, View
+from compare.runs.measure import measure, strain
+from compare.runs.operations import Outcome, Wanted, edit_field, edit_mesh, edit_mesh_by_arap, wanted_motion
+from compare.runs.subject import Subject
 
 SIDES = {"neural": "neural field", "Killing": "mesh, Killing", "ARAP": "mesh, ARAP"}
 ENERGIES = {

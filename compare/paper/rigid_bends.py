@@ -20,14 +20,14 @@ from numpy import ndarray
 
 import implicit
 import meshref
-from compare.case import Case, HandleSpec
-from compare.figures import HELD, MOVED, SURFACE, Camera, paint
-from compare.operations import Wanted, wanted_motion
+from compare.cases.case import Case, HandleSpec
 from compare.paper.findings import Finding
 from compare.paper.panels import panel, same_frame, surface_view
 from compare.paper.request import Request
-from compare.subject import Subject
-from compare.views import View
+from compare.reports.figures import HELD, MOVED, SURFACE, paint
+from compare.reports.views import Camera, View
+from compare.runs.operations import Wanted, wanted_motion
+from compare.runs.subject import Subject
 
 TWIST, BEND = 135.0, 90.0  # degrees
 STEPS = {"twist": 27, "bend": 18}  # of 5 degrees

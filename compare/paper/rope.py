@@ -13,10 +13,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import implicit
-from compare.figures import HELD, MOVED, SURFACE
 from compare.paper.findings import Finding
 from compare.paper.panels import same_frame
 from compare.paper.request import Request
+from compare.reports.figures import HELD, MOVED, SURFACE
 from implicit import Along, Area, Ball, Edit, Field, Handle
 
 PART = "rope"

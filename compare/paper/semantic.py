@@ -12,11 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import implicit
-from compare.figures import MOVED, SURFACE, Camera, paint
 from compare.paper.family_edits import FamilyEdit, chair_leg, leg_ends, longer_wing, uneven_wings, wing_ends
 from compare.paper.findings import Finding
 from compare.paper.request import Request
-from compare.views import View
+from compare.reports.figures import MOVED, SURFACE, paint
+from compare.reports.views import Camera, View
 from implicit import families
 
 PART = "semantic"

@@ -9,11 +9,11 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 import implicit
-from compare.figures import COLOURS, Camera, paint
 from compare.paper.findings import Finding
 from compare.paper.panels import colour_bar
 from compare.paper.request import Request
-from compare.views import View
+from compare.reports.figures import COLOURS, paint
+from compare.reports.views import Camera, View
 from implicit import families
 
 PART = "semantic_basis"

@@ -12,7 +12,7 @@ import implicit
 from compare.paper.family_edits import FamilyEdit, chair_leg, leg_ends, longer_wing, uneven_wings, wing_ends
 from compare.paper.findings import Finding
 from compare.paper.request import Request
-from compare.spheres import sphere_edit, spheres_near
+from compare.paper.spheres import sphere_edit, spheres_near
 from implicit import families
 from implicit.models import DualSdf
 

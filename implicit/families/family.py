@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from implicit.field import Field
+from implicit.field.field import Field
 
 Shape = Callable[[Mapping[str, Tensor], Tensor, Tensor, Tensor], Tensor]
 
@@ -51,7 +51,7 @@ class Family:
 
     def field(self, parameters: Float[Tensor, " p"]) -> Field:
         """One shape as a field whose theta are the parameters."""
-        from implicit.decoder import decoder_field
+        from implicit.field.decoder import decoder_field
 
         return decoder_field(lambda points, theta: self.distance(theta, points), parameters)
 

@@ -11,14 +11,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from implicit.checkpoints import Decoder, fill, load_checkpoint, read_tensors
-from implicit.decoder import decoder_field
 from implicit.families.airplanes import AIRPLANES
 from implicit.families.chairs import CHAIRS
 from implicit.families.family import Family
 from implicit.families.lamps import LAMPS
-from implicit.field import Field, Units
+from implicit.field.decoder import decoder_field
+from implicit.field.field import Field, Units
 from implicit.files import replace_file
+from implicit.models.checkpoints import Decoder, fill, load_checkpoint, read_tensors
 from implicit.models.imnet import ImNetEncoder
 
 FAMILIES = {family.name: family for family in (CHAIRS, AIRPLANES, LAMPS)}

@@ -10,13 +10,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from implicit.checkpoints import Architecture
 from implicit.families.autodecoder import AutoDecoder, find_codes
 from implicit.families.autoencoder import AutoEncoder, encode, voxels
 from implicit.families.family import Family
 from implicit.families.model import FAMILIES, FamilyModel
 from implicit.families.samples import draw_samples
 from implicit.families.training import Learner, Schedule, Tell, TrainingRun
+from implicit.models.checkpoints import Architecture
 from implicit.models.deepsdf import DeepSdf
 from implicit.models.dualsdf import DualSdf
 from implicit.models.imnet import ImNet, ImNetEncoder
@@ -165,8 +165,8 @@ def _learner(
 
 
 def _schedule(architecture: str, steps: int) -> Schedule:
-    # The linear layers' rate is the one that did best for ReLU networks under SOAP (implicit.fit); the codes may move
-    # three times as fast, the encoder's convolutions under Adam not.
+    # The linear layers' rate is the one that did best for ReLU networks under SOAP (implicit.fitting.fit); the codes
+    # may move three times as fast, the encoder's convolutions under Adam not.
     return Schedule(steps, 3e-3, 1e-3 if architecture == "imnet" else 1e-2)
 
 

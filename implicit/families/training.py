@@ -18,7 +18,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from implicit.files import read_state, write_state
-from implicit.soap import Soap
+from implicit.fitting.soap import Soap
 
 WARM_UP = 50  # steps over which the learning rate rises
 LAST_RATE = 1e-3  # the learning rate falls to this part of itself along a cosine

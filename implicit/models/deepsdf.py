@@ -15,7 +15,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from implicit.field import CUBE
+from implicit.field.field import CUBE
+from implicit.models.registry import register
 from implicit.models.weight_norm import linear
 
 
@@ -82,3 +83,6 @@ class DeepSdf(nn.Module):
     def describe(self) -> dict[str, Any]:
         """How to make this network again."""
         return {"name": "deepsdf", "arguments": dict(self._arguments)}
+
+
+register("deepsdf", DeepSdf)

@@ -19,7 +19,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from implicit.field import CUBE
+from implicit.field.field import CUBE
+from implicit.models.registry import register
 from implicit.models.weight_norm import linear
 
 SHARPNESS = 100.0  # k of the smooth minimum over spheres
@@ -127,3 +128,6 @@ class DualSdf(nn.Module):
     def describe(self) -> dict[str, Any]:
         """How to make this network again."""
         return {"name": "dualsdf", "arguments": dict(self._arguments)}
+
+
+register("dualsdf", DualSdf)

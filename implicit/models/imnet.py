@@ -17,6 +17,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from implicit.models.registry import register
+
 SLOPE = 0.02  # of the leaky ReLU
 TAPER = (8, 8, 8, 4, 2, 1)  # hidden widths in units of `width`
 
@@ -53,6 +55,9 @@ class ImNet(nn.Module):
     def describe(self) -> dict[str, Any]:
         """How to make this network again."""
         return {"name": "imnet", "arguments": {"latent": self.latent, "width": self.width}}
+
+
+register("imnet", ImNet)
 
 
 class ImNetEncoder(nn.Module):

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from implicit.arguments import require_whole
+from implicit.models.registry import register
 
 
 class Mlp(nn.Module):
@@ -71,7 +72,7 @@ class Mlp(nn.Module):
         return self.layers[-1](h).squeeze(-1)
 
     def activate(self, layer: int, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The activation after a hidden layer, and its first and second derivative (see implicit.plain)."""
+        """Return the activation after a hidden layer with its two derivatives, for implicit.sensitivity.closed_form."""
         if self.activation == "relu":
             return torch.relu(z), (z > 0).to(z), torch.zeros_like(z)
         rise = torch.sigmoid(self.sharpness * z)
@@ -90,3 +91,6 @@ class Mlp(nn.Module):
                 "sharpness": self.sharpness,
             },
         }
+
+
+register("mlp", Mlp)

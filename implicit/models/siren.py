@@ -13,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from implicit.arguments import require_positive, require_whole
+from implicit.models.registry import register
 
 
 class Siren(nn.Module):
@@ -72,7 +73,7 @@ class Siren(nn.Module):
         return self.layers[-1](h).squeeze(-1)
 
     def activate(self, layer: int, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The sine after a hidden layer, and its first and second derivative (see implicit.plain)."""
+        """The sine after a hidden layer, and its first and second derivative (see implicit.sensitivity.closed_form)."""
         frequency = self.first_frequency if layer == 0 else self.frequency
         wave = torch.sin(frequency * z)
         return wave, frequency * torch.cos(frequency * z), -(frequency**2) * wave
@@ -90,3 +91,6 @@ class Siren(nn.Module):
                 "frequency": self.frequency,
             },
         }
+
+
+register("siren", Siren)

@@ -191,7 +191,7 @@ MENDED = {
 @pytest.mark.parametrize("case", MENDED, ids=list(MENDED))
 def test_what_can_be_mended_is_mended_and_said(case, tmp_path):
     """The check alone: the same that run and fit make before any work."""
-    from compare.subject import check_shape, load_mesh
+    from compare.runs.subject import check_shape, load_mesh
 
     write, word = MENDED[case]
     write(tmp_path / "ball.off")

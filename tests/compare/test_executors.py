@@ -13,9 +13,9 @@ import pytest
 import implicit
 import implicit.shapes
 from compare import Case, HandleSpec, Workers, run_cases
-from compare.executors import WorkerDiedError, dask_executor, executor_of
-from compare.records import read
-from compare.subject import InputError
+from compare.errors import InputError
+from compare.runs.executors import WorkerDiedError, dask_executor, executor_of
+from compare.runs.records import read
 
 TOP = HandleSpec(
     {"kind": "halfspace", "point": [0, 0.4, 0], "normal": [0, 1, 0]}, {"kind": "vector", "vector": [0.1, 0, 0]}

@@ -13,10 +13,10 @@ from matplotlib.image import imread
 from skimage.color import deltaE_ciede2000, rgb2lab
 
 import meshref
-from compare import pyvista_painter
-from compare.figures import COLOURS, Camera, draw_figures, paint, picture, usable_painter
-from compare.pyvista_painter import paint_with_pyvista, pyvista_trouble
-from compare.views import View
+from compare.reports import pyvista_painter
+from compare.reports.figures import COLOURS, draw_figures, paint, picture, usable_painter
+from compare.reports.pyvista_painter import paint_with_pyvista, pyvista_trouble
+from compare.reports.views import Camera, View
 
 RED, BLUE = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 PAINTERS = {"matplotlib": paint, "pyvista": paint_with_pyvista}

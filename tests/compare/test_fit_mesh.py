@@ -12,8 +12,8 @@ import torch
 
 import implicit
 import meshref
-from compare import bundle
-from compare.fit import FitReport, fit_mesh
+from compare.fitting import bundle
+from compare.fitting.fit import FitReport, fit_mesh
 
 MESHES = Path(__file__).parents[3] / "shared" / "data" / "meshes"
 needs_meshes = pytest.mark.skipif(not MESHES.is_dir(), reason="the meshes of ../shared/data are not here")
@@ -80,8 +80,8 @@ def test_units_lead_back_to_where_the_mesh_was(fitted):
 @pytest.fixture
 def coarse(monkeypatch):
     """A report that takes no time, for tests that look at the weights."""
-    monkeypatch.setattr("compare.fit.RESOLUTION", 24)
-    monkeypatch.setattr("compare.fit.QUADRATURE", 24)
+    monkeypatch.setattr("compare.fitting.fit.RESOLUTION", 24)
+    monkeypatch.setattr("compare.fitting.fit.QUADRATURE", 24)
 
 
 @pytest.mark.usefixtures("coarse")

@@ -1,7 +1,7 @@
 """The table of fits is made of reports, row by row."""
 
 import meshref
-from compare.fits import COLUMNS, main, table
+from compare.fitting.fits import COLUMNS, main, table
 
 
 def test_a_folder_of_meshes_becomes_a_table(tmp_path, capsys):

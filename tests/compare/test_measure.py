@@ -9,9 +9,9 @@ import implicit
 import implicit.shapes
 import meshref
 from compare import Case, HandleSpec
-from compare.measure import between, curve, error_field, measure, measure_field, strain
-from compare.operations import Halfway, Outcome, wanted_motion
-from compare.subject import Subject
+from compare.runs.measure import between, curve, error_field, measure, measure_field, strain
+from compare.runs.operations import Halfway, Outcome, wanted_motion
+from compare.runs.subject import Subject
 
 EVERYWHERE = {"kind": "halfspace", "point": [0.0, 0.0, -9.0], "normal": [0.0, 0.0, 1.0]}
 

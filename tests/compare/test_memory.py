@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from compare import memory
-from compare.memory import with_peak_memory
+from compare.runs import memory
+from compare.runs.memory import with_peak_memory
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the peak can be forgotten on Linux alone")
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from compare.table import COLUMNS
+from compare.runs.columns import COLUMNS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text(encoding="utf-8")
 EXPLAINED = set(re.findall(r"`([^`\n]+)`", PAGE))

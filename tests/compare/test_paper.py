@@ -7,9 +7,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from compare.errors import InputError
 from compare.paper import PARTS, Finding, Request, draw_parts
 from compare.paper.findings import FILE, Measured, read_measured, table, write_measured
-from compare.subject import InputError
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from compare import Case, prepare_subject
-from compare.operations import wanted_motion
 from compare.paper import Request, draw_parts
 from compare.paper.rigid_bends import arap_along_the_path, turning_handles
+from compare.runs.operations import wanted_motion
 from implicit import save_field, shapes
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import meshref
 from compare import Case
-from compare.provenance import input_of, provenance
+from compare.runs.provenance import input_of, provenance
 
 
 def test_it_names_what_a_number_may_depend_on():

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from compare import Case, Record
-from compare.records import FILE, Artefact, append, plain, read
+from compare.files import plain
+from compare.runs.records import FILE, Artefact, append, read
 
 
 def a_record(seed=0, **changes):
@@ -78,7 +79,7 @@ def test_a_writer_killed_at_any_moment_leaves_whole_rows(tmp_path):
     """Killed three times while it appends as fast as it can, each time later than the last."""
     path = tmp_path / FILE
     program = (
-        "import sys; from compare import Case, Record; from compare.records import append\n"
+        "import sys; from compare import Case, Record; from compare.runs.records import append\n"
         "case = Case('spot', 'smooth')\n"
         "while True: append(sys.argv[1], Record(case, case.key, 'Done. ' * 20000))\n"
     )

@@ -9,7 +9,7 @@ import pytest
 
 from compare.paper import PARTS, Finding, Measured
 from compare.paper.findings import FILE, read_measured, write_measured
-from compare.results import main, section, with_section
+from compare.paper.readme_table import main, section, with_section
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "docs" / "results.json"

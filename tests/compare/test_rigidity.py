@@ -7,11 +7,11 @@ import pytest
 
 import meshref
 from compare import Case, prepare_subject
-from compare.case import HandleSpec
-from compare.operations import wanted_motion
-from compare.rigidity import mesh_of, mesh_seconds, pulled_case, rigidity
-from compare.scenes import pulled_less, rigid_scene
-from compare.subject import Subject
+from compare.cases.case import HandleSpec
+from compare.paper.rigidity import mesh_of, mesh_seconds, pulled_case, rigidity
+from compare.paper.scenes import pulled_less, rigid_scene
+from compare.runs.operations import wanted_motion
+from compare.runs.subject import Subject
 from implicit import Units, shapes
 
 

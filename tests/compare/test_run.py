@@ -11,8 +11,8 @@ import torch
 import implicit
 import meshref
 from compare import Case, HandleSpec, run_case, run_cases
-from compare.records import FILE, read
-from compare.views import load_views, read_view
+from compare.reports.views import load_views, read_view
+from compare.runs.records import FILE, read
 
 
 def by_operation(small_run, operation):

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from compare.spheres import sphere_edit, spheres_near
+from compare.paper.spheres import sphere_edit, spheres_near
 from implicit import families
 
 

@@ -15,14 +15,15 @@ import pytest
 import implicit
 import implicit.shapes
 from compare import Case, Record, find_study, run_study
-from compare.curves import Point, curves, draw_charts, write_table
-from compare.labels import labels
-from compare.lock import lock
-from compare.plan import check_options, combinations, plan, setting_of
-from compare.records import FILE, read
-from compare.study import Chart, Study, built_in, parse_study
-from compare.study_folder import STUDY_FILE, require_folder_of
-from compare.subject import InputError
+from compare.cases.labels import labels
+from compare.cases.settings import setting_of
+from compare.errors import InputError
+from compare.runs.lock import lock
+from compare.runs.records import FILE, read
+from compare.studies.curves import Point, curves, draw_charts, write_table
+from compare.studies.plan import check_options, combinations, plan
+from compare.studies.study import Chart, Study, built_in, parse_study
+from compare.studies.study_folder import STUDY_FILE, require_folder_of
 
 CHEAP = """
 title = "A cheap study"
@@ -227,7 +228,7 @@ def test_a_folder_of_other_things_is_refused_but_not_that_of_a_study_killed_at_i
 def test_a_folder_in_use_is_refused_until_its_process_is_gone(tmp_path):
     """Even if it is killed, and leaves its file behind."""
     program = (
-        "import sys, time; from pathlib import Path; from compare.lock import lock\n"
+        "import sys, time; from pathlib import Path; from compare.runs.lock import lock\n"
         "with lock(Path(sys.argv[1])): print('locked', flush=True); time.sleep(1000)\n"
     )
     holder = subprocess.Popen([sys.executable, "-c", program, str(tmp_path)], stdout=subprocess.PIPE, text=True)

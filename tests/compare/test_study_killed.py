@@ -14,7 +14,7 @@ import time
 
 import implicit
 import implicit.shapes
-from compare.records import FILE, read
+from compare.runs.records import FILE, read
 
 CASES, KILLS = map(int, os.environ.get("IMPLICIT_VS_MESH_KILLS", "10 2").split())
 PATIENCE = 600  # seconds for a step of this test on a machine with much else to do

@@ -5,7 +5,7 @@ import shlex
 
 import pytest
 
-from compare.cli import main
+from compare.commands.cli import main
 from implicit import families
 
 TINY = "--shapes 3 --latent 4 --width 32 --steps 3 --batch 300 --validation 1"

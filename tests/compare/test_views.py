@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import meshref
-from compare.views import View, azimuth_of, colour_limit, read_view, simplified
+from compare.reports.views import View, azimuth_of, colour_limit, read_view, simplified
 
 
 def test_a_view_comes_back_to_the_last_bit(tmp_path):

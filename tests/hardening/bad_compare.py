@@ -14,7 +14,8 @@ from corpus import Bad, BadCase, choices, counts, numpy_points, positives, refus
 
 import compare
 import meshref
-from compare import Case, HandleSpec, Record, cli
+from compare import Case, HandleSpec, Record
+from compare.commands import cli
 
 BALL = {"kind": "ball", "center": [0.0, 0.3, 0.2], "radius": 0.05, "falloff": 0.2}
 UP = {"kind": "vector", "vector": [0.0, 0.0, 0.1]}

@@ -19,7 +19,7 @@ import torch
 import implicit
 import meshref
 from implicit import shapes
-from implicit.tangential import CosineFeatures
+from implicit.step.tangential_basis import CosineFeatures
 
 BALL = shapes.sphere(0.5)
 BULB = shapes.smooth_union(shapes.capsule(), shapes.sphere(0.25, (0.3, 0.0, 0.0)))

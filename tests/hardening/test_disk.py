@@ -9,8 +9,9 @@ import pytest
 
 import implicit
 import meshref
-from compare import Case, Record, records
+from compare import Case, Record
 from compare.files import replace_file as replace_text
+from compare.runs import records
 from implicit import shapes
 
 V, F = meshref.icosphere(2)

@@ -16,7 +16,7 @@ from implicit import (
     shapes,
     smooth,
 )
-from implicit.sensitivity import basis
+from implicit.sensitivity.boundary_sensitivity import basis
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 BUMP = Handle(Ball((0.0, 0.5, 0.3), 0.25, falloff=0.3), Along(0.03))

@@ -6,10 +6,11 @@ import pytest
 import torch
 
 from implicit import Field, sample_surface, shapes, surface_quadrature
-from implicit.deformation import DeformationSpace, Frame
-from implicit.energies import Killing, NormalTarget, Smoothness, VectorTarget, total_energy
-from implicit.solve import LeastSquares
-from implicit.tangential import CosineFeatures
+from implicit.sensitivity.frame import Frame
+from implicit.step.deformation import DeformationSpace
+from implicit.step.energies import Killing, NormalTarget, Smoothness, VectorTarget, total_energy
+from implicit.step.least_squares import LeastSquares
+from implicit.step.tangential_basis import CosineFeatures
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from implicit import Along, Ball, HalfSpace, Handle, Verdict, expressibility, geometric_edit, sample_surface, shapes
-from implicit.sensitivity import basis
+from implicit.sensitivity.boundary_sensitivity import basis
 
 EVERYWHERE = Ball((0, 0, 0), 10.0)
 

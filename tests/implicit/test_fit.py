@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from implicit import shapes
-from implicit.fit import FitStatus, fit_field
+from implicit.fitting.fit import FitStatus, fit_field
 
 
 def samples(field, n=20_000, seed=0, spread=0.05):

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from implicit import Bending, MeanCurvature, Offset, Until, Volume, shapes, smooth, surface_quadrature
-from implicit.flows import curvature_slope
+from implicit.edits.flows import curvature_slope
 
 COARSE = {"points": 200, "directions": None, "resolution": 24}
 

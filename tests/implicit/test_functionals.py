@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from implicit import Area, Field, SurfaceIntegral, Volume, VolumeIntegral, integrate, shapes, surface_quadrature
-from implicit.functionals import volume_terms
+from implicit.sensitivity.shape_functionals import volume_terms
 
 
 def moment(points):

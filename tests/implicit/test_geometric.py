@@ -22,8 +22,8 @@ from implicit import (
     shapes,
     surface_quadrature,
 )
-from implicit.edit import EditStatus
-from implicit.evidence import with_evidence
+from implicit.evolve.edit import EditStatus
+from implicit.evolve.evidence import with_evidence
 from tests.implicit.conftest import Occupancy
 
 EVERYWHERE = Ball((0, 0, 0), 10.0)
@@ -262,7 +262,7 @@ def test_a_network_too_large_for_a_matrix_is_edited_by_products(monkeypatch, wob
     """The same edit with the limit lowered below the network's size."""
     options = {"points": 400, "parts": 2, "damping": 1e-3}
     dense = geometric_edit(wobbly, bump(wobbly), **options)
-    monkeypatch.setattr("implicit.step.DENSE_LIMIT", 100)
+    monkeypatch.setattr("implicit.step.problem.DENSE_LIMIT", 100)
     free = geometric_edit(wobbly, bump(wobbly), **options)
     assert free.history[0]["method"] == "cg"
     torch.testing.assert_close(free.displacement, dense.displacement, rtol=0, atol=1e-4)

@@ -4,9 +4,9 @@ import pytest
 import torch
 
 from implicit import Area, Holding, Siren, SurfaceIntegral, Volume, VolumeIntegral, shapes, smooth, surface_quadrature
-from implicit.deformation import DeformationSpace
-from implicit.edit import EditStatus
-from implicit.guard import Guard
+from implicit.evolve.constraints import Guard
+from implicit.evolve.edit import EditStatus
+from implicit.step.deformation import DeformationSpace
 
 COARSE = {"steps": 3, "step_size": 1e-3, "points": 300, "resolution": 24}
 

@@ -7,7 +7,7 @@ import torch
 
 import implicit
 from implicit import families, shapes
-from implicit.modes import mirror_symmetry, surface_modes
+from implicit.sensitivity.surface_modes import mirror_symmetry, surface_modes
 
 
 def test_a_ball_grows_evenly_and_shifts_oddly():

@@ -5,13 +5,13 @@ import torch
 from torch.nn.functional import normalize
 
 from implicit import Along, Ball, Field, Handle, Siren, geometric_edit, sample_surface, shapes
-from implicit.deformation import DeformationSpace
-from implicit.energies import NormalTarget
 from implicit.models import Mlp
-from implicit.offsurface import off_surface
-from implicit.solve import DENSE_LIMIT, LeastSquares
-from implicit.step import StepProblem, assemble
-from implicit.surface import SurfaceSample
+from implicit.step.deformation import DeformationSpace
+from implicit.step.energies import NormalTarget
+from implicit.step.least_squares import DENSE_LIMIT, LeastSquares
+from implicit.step.off_surface import off_surface
+from implicit.step.problem import StepProblem, assemble
+from implicit.surface.quadrature import SurfaceSample
 
 
 def solved(field, energy):

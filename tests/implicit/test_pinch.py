@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from implicit import Holding, Volume, explicit_step_limit, fit_field, integrate, sample_surface, shapes, smooth
-from implicit.edit import EditStatus
+from implicit.evolve.edit import EditStatus
 
 
 @pytest.fixture(scope="module")

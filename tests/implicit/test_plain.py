@@ -6,7 +6,7 @@ from torch.func import grad, jvp, vmap
 
 from implicit import Field, Siren
 from implicit.models import Mlp
-from implicit.plain import GRAM_ROWS, is_plain, plain_gradient, plain_gradient_and_slope, plain_gram
+from implicit.sensitivity.closed_form import GRAM_ROWS, is_plain, plain_gradient, plain_gradient_and_slope, plain_gram
 
 
 def networks():

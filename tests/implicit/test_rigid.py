@@ -11,16 +11,16 @@ from implicit import (
     RigidMotion,
     Siren,
     Volume,
-    rigid,
     rigid_edit,
     sample_surface,
     shapes,
     surface_quadrature,
 )
-from implicit.edit import EditStatus
+from implicit.edits import rigid
+from implicit.edits.rigid_placement import Placement
+from implicit.evolve.edit import EditStatus
 from implicit.models import Mlp
-from implicit.rigid_motion import Placement
-from implicit.tangential import CosineFeatures
+from implicit.step.tangential_basis import CosineFeatures
 
 HEAD = HalfSpace((0, 0.5, 0), (0, 1, 0))
 FEET = HalfSpace((0, -0.6, 0), (0, -1, 0))

@@ -8,7 +8,7 @@ import torch
 from scipy.stats import chi2
 
 from implicit import Ball, SurfaceError, sample_surface, shapes, transport
-from implicit.sampling import farthest_order
+from implicit.surface.sampling import farthest_order
 
 
 def torus_cells(points, around, across):

@@ -5,7 +5,7 @@ import torch
 from torch import nn
 
 from implicit import Field, adjoint, basis, normal_displacement, sample_surface, shapes
-from implicit.sensitivity import parameter_gradient, parameter_gradient_and_slope
+from implicit.sensitivity.boundary_sensitivity import parameter_gradient, parameter_gradient_and_slope
 
 
 def motion_along_normals(field, theta, sample):
@@ -72,7 +72,7 @@ def test_products_agree_with_the_matrix(any_field):
 def test_chunks_do_not_change_the_basis(wobbly, monkeypatch):
     points = sample_surface(wobbly, 50).points
     whole = basis(wobbly, points)
-    monkeypatch.setattr("implicit.sensitivity.BLOCK", 7 * len(wobbly.theta))
+    monkeypatch.setattr("implicit.sensitivity.boundary_sensitivity.BLOCK", 7 * len(wobbly.theta))
     torch.testing.assert_close(basis(wobbly, points), whole, rtol=0, atol=1e-14)
 
 

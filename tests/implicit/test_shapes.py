@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from implicit import extract_mesh, load_field, save_field, shapes, surface_quadrature
-from implicit.sensitivity import basis
+from implicit.sensitivity.boundary_sensitivity import basis
 
 PRIMITIVES = ["sphere", "circle", "torus", "box", "rounded_box", "capsule", "cylinder", "ellipsoid"]
 BODIES = ["cactus", "bracket", "dumbbell", "chair"]

@@ -5,9 +5,9 @@ import torch
 from torch import nn
 
 from implicit import ConstantNormals, Field, NearIsometric, normal_displacement, sample_surface, shapes
-from implicit.deformation import DeformationSpace
-from implicit.energies import Killing, total_energy
-from implicit.tangential import CosineFeatures
+from implicit.step.deformation import DeformationSpace
+from implicit.step.energies import Killing, total_energy
+from implicit.step.tangential_basis import CosineFeatures
 
 WAY = torch.tensor([0.3, -0.2, 0.1], dtype=torch.float64)
 RADII = torch.tensor([0.7, 0.5, 0.4], dtype=torch.float64)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from implicit import Area, HalfSpace, Until, Volume, shapes, smooth, surface_quadrature
-from implicit.edit import EditStatus
+from implicit.evolve.edit import EditStatus
 
 
 @pytest.mark.parametrize(("dimension", "rate"), [(3, 4.0), (2, 2.0)])

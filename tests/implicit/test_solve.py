@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from implicit.solve import LeastSquares, Operator, Rows, SolveStatus, add_gram, least_squares
+from implicit.step.least_squares import LeastSquares, Operator, Rows, SolveStatus, add_gram, least_squares
 
 
 def problem(rows, columns, seed=0, rank=None):
@@ -54,7 +54,7 @@ def test_objective_and_residual_are_those_of_the_rows(method):
 def sensitivities():
     """A system as edits have it: the paper's network on a real shape, singular values falling fast."""
     from implicit import sample_surface
-    from implicit.sensitivity import basis
+    from implicit.sensitivity.boundary_sensitivity import basis
     from implicit.shapes import bundled
 
     field = bundled("spot").to(torch.float64)

@@ -3,7 +3,7 @@
 import pytest
 
 from implicit import shapes
-from implicit.soundness import changes, field_soundness
+from implicit.surface.soundness import changes, field_soundness
 
 
 @pytest.mark.parametrize("scale", [1.0, 5.0])

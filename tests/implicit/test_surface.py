@@ -18,8 +18,8 @@ from implicit import (
     surface_quadrature,
 )
 from implicit.families import CHAIRS
-from implicit.functionals import volume_terms
-from implicit.marching import Grid, march, near_surface
+from implicit.sensitivity.shape_functionals import volume_terms
+from implicit.surface.marching import Grid, march, near_surface
 
 TORUS_AREA = 4 * math.pi**2 * 0.7 * 0.25
 TORUS_VOLUME = 2 * math.pi**2 * 0.7 * 0.25**2

@@ -3,11 +3,18 @@
 import pytest
 import torch
 
-from implicit import HalfSpace, Handle, rigid_edit, sample_surface, tangential_network, trained_rigid_step
-from implicit.deformation import DeformationSpace
-from implicit.energies import Killing, VectorTarget, total_energy
-from implicit.tangential import CosineFeatures
-from implicit.tangential_network import LearnedFeatures, StepEnergies, TrainingStatus, value_and_slope, vector_siren
+from implicit import HalfSpace, Handle, rigid_edit, sample_surface, trained_rigid_step
+from implicit.edits import trained_rigid_step as tangential_network
+from implicit.edits.trained_rigid_step import (
+    LearnedFeatures,
+    StepEnergies,
+    TrainingStatus,
+    value_and_slope,
+    vector_siren,
+)
+from implicit.step.deformation import DeformationSpace
+from implicit.step.energies import Killing, VectorTarget, total_energy
+from implicit.step.tangential_basis import CosineFeatures
 
 HANDLES = [
     Handle(HalfSpace((0, 0, -0.3), (0, 0, -1)), (0.0, 0, 0)),

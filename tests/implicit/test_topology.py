@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from implicit import shapes
-from implicit.topology import mesh_topology, surface_topology
+from implicit.surface.topology import mesh_topology, surface_topology
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,1 @@
+"""Cases: what is run, as plain data; its defaults, settings and names."""

@@ -1,0 +1,1 @@
+"""Fields fitted to meshes, the fields that come with the package, and families trained."""

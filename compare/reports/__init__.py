@@ -1,0 +1,1 @@
+"""Records shown: the report, its parts, and still pictures."""

@@ -1,0 +1,201 @@
+"""Still pictures of a run, by pyvista where it can draw, otherwise by shaded triangles painted from the back.
+
+A picture has a row for each operation and the columns before, neural field, mesh. Before shows the handles; the two
+results show the error, on one colour range about zero that they share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import Normalize, to_rgb
+from matplotlib.figure import Figure
+from numpy import ndarray
+
+from compare.cases.case import HandleSpec
+from compare.reports.pyvista_painter import paint_with_pyvista, pyvista_trouble
+from compare.reports.views import PANES, Camera, View, azimuth_of, colour_limit, load_views, simplified
+from compare.runs.columns import COLUMNS, error_label, number, text
+from compare.runs.records import Record
+
+Painter = Literal["auto", "pyvista", "matplotlib"]
+
+# Moreland's map, made for shaded surfaces: diverging about zero, even in lightness on both sides.
+COLOURS = "coolwarm"
+SURFACE, HELD, MOVED = to_rgb("#c9ccd1"), to_rgb("#4c72b0"), to_rgb("#dd8452")
+
+
+def draw_figures(
+    records: Sequence[Record],
+    folder: str | PathLike[str],
+    *,
+    output: str | PathLike[str] | None = None,
+    formats: Sequence[str] = ("png", "pdf"),
+    camera: Camera | None = None,
+    painter: Painter = "auto",
+) -> list[Path]:
+    """Paint a picture for each shape.
+
+    Args:
+        records: Of a run; failed ones are left out.
+        folder: The run folder, where their meshes are.
+        output: Where the pictures go; None is `figures` in the run folder.
+        formats: What matplotlib can write: png, pdf, svg.
+        camera: Where from; None looks to where most of what moves is seen.
+        painter: "pyvista", "matplotlib", or "auto", which is pyvista where it can draw.
+
+    Returns:
+        The files written.
+
+    Raises:
+        FileNotFoundError: A mesh that a record names is gone.
+        ValueError: The painter is "pyvista", but it cannot draw here.
+    """
+    painter, _ = usable_painter(painter)
+    folder = Path(folder)
+    target = folder / "figures" if output is None else Path(output)
+    by_shape: dict[str, list[Record]] = {}
+    for record in records:
+        if not record.failed and record.artefacts:
+            by_shape.setdefault(record.case.name, []).append(record)
+    written = []
+    for name, group in by_shape.items():
+        figure = picture(group, folder, camera=camera, painter=painter)
+        target.mkdir(parents=True, exist_ok=True)
+        for suffix in formats:
+            path = target / f"{name}.{suffix}"
+            figure.savefig(path, dpi=150)
+            written.append(path)
+    return written
+
+
+def usable_painter(wanted: Painter) -> tuple[Literal["pyvista", "matplotlib"], str | None]:
+    """The painter to take, and why it is not pyvista where that was left open.
+
+    Raises:
+        ValueError: It is to be pyvista, but that cannot draw here.
+    """
+    if wanted == "matplotlib":
+        return wanted, None
+    trouble = pyvista_trouble()
+    if trouble is None:
+        return "pyvista", None
+    if wanted == "pyvista":
+        raise ValueError(f"pyvista cannot draw here: {trouble} Or take --painter matplotlib, which needs nothing more.")
+    return "matplotlib", trouble
+
+
+def picture(
+    records: Sequence[Record],
+    folder: Path,
+    *,
+    camera: Camera | None = None,
+    painter: Literal["pyvista", "matplotlib"] = "matplotlib",
+) -> Figure:
+    """Rows of before, neural field and mesh, a record each."""
+    draw = paint_with_pyvista if painter == "pyvista" else paint
+    camera = camera or Camera(azimuth_of(records, folder))
+    figure = Figure(figsize=(8.6, 2.75 * len(records)), layout="constrained")
+    grid = figure.subplots(len(records), 3, squeeze=False)
+    for row, record in zip(grid, records, strict=True):
+        views = load_views(record, folder)
+        limit = colour_limit([views["implicit"], views["mesh"]])
+        for axes, (name, view) in zip(row, views.items(), strict=True):
+            if name == "before":
+                draw(axes, view, _handle_colours(view, record.case.handles), camera)
+                _draw_motion(axes, view, record, camera)
+                title = f"{record.case.name}, {record.case.operation}"
+            else:
+                view = simplified(view, 20_000)
+                draw(axes, view, _error_colours(view, limit), camera)
+                title = f"{PANES[name]}: {_headline(record, name)}"
+            axes.set_title(title, fontsize=8)
+        _same_frame(row)
+        bar = figure.colorbar(ScalarMappable(Normalize(-limit, limit), COLOURS), ax=list(row[1:]), shrink=0.8, pad=0.01)
+        bar.set_label(_wrapped(error_label(record)), fontsize=6)
+        bar.ax.tick_params(labelsize=6)
+        if min(float(views[side].values.min()) for side in ("implicit", "mesh")) >= 0:  # a strain has no other half
+            bar.ax.set_ylim(0, limit)
+    return figure
+
+
+def paint(axes: Axes, view: View, colours: Float[ndarray, "m 3"], camera: Camera) -> None:
+    """Draw a closed mesh with a colour for each face: those that look away are left out, the far ones come first."""
+    right, up, back = camera.axes()
+    corners = view.V[view.F]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    seen = np.flatnonzero(normals @ back > 0)
+    order = seen[np.argsort((corners[seen] @ back).mean(axis=1))]
+    light = back + 0.5 * up - 0.4 * right
+    shade = 0.45 + 0.55 * np.clip(normals[order] @ (light / np.linalg.norm(light)), 0, 1)
+    flat = np.stack([corners[order] @ right, corners[order] @ up], axis=-1)
+    painted = np.clip(colours[order] * shade[:, None], 0, 1)
+    # Edges in the colour of their face close the hairlines between neighbours.
+    axes.add_collection(
+        PolyCollection(list(flat), facecolors=painted, edgecolors=painted, linewidths=0.3, rasterized=True)
+    )
+    axes.autoscale_view()
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+
+
+def _handle_colours(view: View, handles: Sequence[HandleSpec]) -> Float[ndarray, "m 3"]:
+    palette = np.array([SURFACE, *(HELD if h.holds else MOVED for h in handles)])
+    return palette[view.values.astype(int)][view.F].mean(axis=1)
+
+
+def _error_colours(view: View, limit: float) -> Float[ndarray, "m 3"]:
+    return colormaps[COLOURS](Normalize(-limit, limit)(view.values[view.F].mean(axis=1)))[:, :3]
+
+
+def _draw_motion(axes: Axes, view: View, record: Record, camera: Camera) -> None:
+    """An arrow for each handle that is moved by a vector, unless it points so much at the viewer that none is seen."""
+    screen = camera.axes()[:2]
+    size = np.ptp(view.V @ screen.T, axis=0).max()
+    for k, handle in enumerate(record.case.handles, start=1):
+        held = view.V[view.values == k]
+        if handle.motion["kind"] == "vector" and not handle.holds and len(held):
+            start = screen @ held.mean(axis=0)
+            end = start + screen @ np.asarray(handle.motion["vector"]) * float(record.subject["scale"])
+            if np.linalg.norm(end - start) < 0.07 * size:
+                continue
+            axes.annotate("", end, start, arrowprops={"arrowstyle": "->", "lw": 1.4}, zorder=5)
+
+
+def _headline(record: Record, side: str) -> str:
+    name, words = {
+        "geometric": ("error_relative", "error {} of the bump"),
+        "smooth": ("volume_drift", "volume {}"),
+        "rigid": ("killing_energy", "Killing energy {}"),
+    }[record.case.operation]
+    column = next(c for c in COLUMNS if c.name == name)
+    return words.format(text(number(record.sides[side], column), column))
+
+
+def _same_frame(row: Sequence[Axes]) -> None:
+    """One extent for all panes of a row, so that sizes can be compared."""
+    x = np.array([axes.get_xlim() for axes in row])
+    y = np.array([axes.get_ylim() for axes in row])
+    for axes in row:
+        axes.set_xlim(x.min(), x.max())
+        axes.set_ylim(y.min(), y.max())
+
+
+def _wrapped(sentence: str) -> str:
+    words, lines = sentence.split(), [""]
+    for word in words:
+        if len(lines[-1]) + len(word) > 34:
+            lines.append("")
+        lines[-1] = f"{lines[-1]} {word}".strip()
+    return "\n".join(lines)

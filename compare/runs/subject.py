@@ -1,0 +1,246 @@
+"""The shape of a case, made ready: a field in float64 and one common mesh on its surface.
+
+Both editors are judged on this mesh: the neural edit carries its vertices along, the mesh methods move them. It is
+the field's own surface, remeshed to even triangles and projected back to f = 0, so neither side starts with an error.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field as default
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from compare.cases.case import BUNDLED, FIELD_SUFFIX, MESH_SUFFIXES, Case
+from compare.errors import InputError, Progress
+from compare.files import plain, replace_file
+
+if TYPE_CHECKING:
+    from implicit import Field
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A field, its surface as a mesh, and how they came about."""
+
+    field: Field
+    V: Float[ndarray, "n 3"]  # on the surface, in the field's coordinates
+    F: Int[ndarray, "m 3"]
+    N: Float[ndarray, "n 3"]  # the field's outward normals at V
+    notes: tuple[str, ...] = ()  # sentences: what was mended, what the fit says of itself
+    fit: Mapping[str, Any] | None = None
+    seconds: Mapping[str, float] = default(default_factory=dict)
+
+    @property
+    def scale(self) -> float:
+        """The user's units per unit of the field."""
+        return float(self.field.units.scale)
+
+    def to_user(self, points: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
+        """Points of the field in the user's units."""
+        return points * self.scale + np.asarray(self.field.units.offset)
+
+
+def check_shape(shape: str) -> list[str]:
+    """Refuse a shape that cannot be used, before any work; return what will be mended, in sentences.
+
+    Raises:
+        InputError: There is no such shape or file, or the mesh is beyond mending.
+    """
+    suffix = _require_file(shape)
+    if suffix is None:
+        return []
+    if suffix == FIELD_SUFFIX:
+        import implicit
+
+        try:
+            loaded = implicit.load_field(shape)
+        except (ValueError, TypeError, OSError) as error:
+            raise InputError(f"{shape}: {error}") from error
+        if loaded.dimension != 3:
+            raise InputError(f"{shape} holds a field in {loaded.dimension} dimensions, but a comparison needs 3.")
+        return []
+    return load_mesh(shape)[2]
+
+
+def _require_file(shape: str) -> str | None:
+    """The ending of the file that holds a shape, None for a bundled one, or a refusal of what is neither."""
+    path = Path(shape)
+    if shape in BUNDLED:
+        return None
+    suffix = path.suffix.lower()
+    if suffix not in (*MESH_SUFFIXES, FIELD_SUFFIX):
+        close = difflib.get_close_matches(shape, BUNDLED, n=1)
+        hint = f" Did you mean {close[0]}?" if close else ""
+        raise InputError(
+            f"A shape is one of {', '.join(BUNDLED)}, or a file ending in {', '.join(MESH_SUFFIXES)} or "
+            f"{FIELD_SUFFIX}, but got {shape!r}.{hint}"
+        )
+    if not path.is_file():
+        raise InputError(f"There is no file {shape}. Check the path; bundled shapes are {', '.join(BUNDLED)}.")
+    if path.stat().st_size == 0:
+        raise InputError(f"The file {shape} is empty. Write it again.")
+    return suffix
+
+
+def load_mesh(path: str) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"], list[str]]:
+    """The closed, outward mesh of one body in a file, and what was mended, in sentences.
+
+    Raises:
+        InputError: It cannot be read or mended, or holds several bodies.
+    """
+    import meshref
+
+    try:
+        V, F, report = meshref.mend_mesh(*meshref.read_mesh(path))
+        if report.bodies > 1:
+            raise InputError(
+                f"{path}: a comparison needs one body, but the mesh holds {report.bodies} that are not connected. Save "
+                "one of them in a file of its own."
+            )
+        V, F = meshref.check_mesh(V, F, closed=True)
+    except meshref.MeshError as error:
+        raise InputError(f"{path}: {error}") from error
+    return V, F, [f"{path}: {step.rstrip('.')}." for step in report.steps]
+
+
+def prepare_subject(case: Case, *, folder: Path | None = None, progress: Progress | None = None) -> Subject:
+    """The subject of a case; with a folder, kept there and read back when another case has the same.
+
+    Args:
+        case: Of it, the shape, the settings of the fit, the number of vertices, the resolution and the seed count.
+        folder: A run folder; the subject is kept under its `subjects/`.
+        progress: Told of each step of a fit.
+
+    Raises:
+        InputError: The shape cannot be used.
+    """
+    import torch
+
+    import implicit
+    from implicit.shapes import bundled
+
+    if not isinstance(case, Case):
+        raise TypeError(f"case must be a Case(shape, operation, ...), but is {case!r}.")
+    _require_file(case.shape)
+    files = None if folder is None else _Files(folder / "subjects" / f"{case.name}-{case.subject_key}")
+    if files is not None and files.complete:
+        return files.read()
+    start = perf_counter()
+    notes: list[str] = []
+    fit: dict[str, Any] | None = None
+    if case.shape in BUNDLED:
+        source = bundled(case.shape)
+    elif Path(case.shape).suffix.lower() == FIELD_SUFFIX:
+        source = implicit.load_field(case.shape)
+    else:
+        source, fit, notes = _fit(case, progress)
+    edited = source.to(torch.float64)
+    fitted = perf_counter()
+    V, F, remarks = common_mesh(edited, case.vertices, case.resolution)
+    N = edited.normal(torch.from_numpy(V)).numpy()
+    seconds = {"field": fitted - start, "common mesh": perf_counter() - fitted}
+    subject = Subject(edited, V, F, N, (*notes, *remarks), fit, seconds)
+    if files is not None:
+        files.write(subject)
+    return subject
+
+
+@dataclass(frozen=True)
+class _Files:
+    """A subject in a run folder, in the field's coordinates; the .json is written last and says that it is whole."""
+
+    stem: Path
+
+    @property
+    def complete(self) -> bool:
+        return self.stem.with_suffix(".json").is_file()
+
+    def write(self, subject: Subject) -> None:
+        import implicit
+        import meshref
+
+        self.stem.parent.mkdir(parents=True, exist_ok=True)
+        implicit.save_field(subject.field, self.stem.with_suffix(".safetensors"))
+        meshref.write_mesh(self.stem.with_suffix(".ply"), subject.V, subject.F)
+        row = {"notes": subject.notes, "fit": plain(subject.fit), "seconds": subject.seconds}
+        replace_file(self.stem.with_suffix(".json"), json.dumps(row).encode())
+
+    def read(self) -> Subject:
+        import torch
+
+        import implicit
+        import meshref
+
+        row = json.loads(self.stem.with_suffix(".json").read_text())
+        field = implicit.load_field(self.stem.with_suffix(".safetensors")).to(torch.float64)
+        V, F = meshref.read_mesh(self.stem.with_suffix(".ply"))
+        N = field.normal(torch.from_numpy(V)).numpy()
+        return Subject(field, V, F, N, tuple(row["notes"]), row["fit"], row["seconds"])
+
+
+def common_mesh(
+    field: Field, vertices: int, resolution: int
+) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"], list[str]]:
+    """The field's surface as even triangles with about the number of vertices asked for, all on f = 0.
+
+    Returns:
+        The largest body of the surface, and a sentence if there are others.
+    """
+    import torch
+
+    import implicit
+    import meshref
+
+    V, F = implicit.extract_mesh(field, resolution)
+    bodies = meshref.component_count(V, F)
+    remarks = []
+    if bodies > 1:
+        V, F, _ = meshref.mend_mesh(V, F, bodies="largest")
+        remarks = [f"The surface of the field has {bodies} bodies; only the largest is compared."]
+    # n vertices carry 2n triangles; equilateral ones of that area have this side.
+    side = (2 * meshref.area(V, F) / (3**0.5 * vertices)) ** 0.5
+    V, F = meshref.isotropic_remesh(V, F, side)
+    V = implicit.project_to_surface(field, torch.from_numpy(V)).numpy()
+    return *meshref.check_mesh(V, F, closed=True), remarks
+
+
+def _fit(case: Case, progress: Progress | None) -> tuple[Field, dict[str, Any], list[str]]:
+    from compare.fitting.fit import fit_mesh
+
+    V, F, notes = load_mesh(case.shape)
+
+    def tell(step: int, steps: int, _: Any) -> None:
+        if progress is not None:
+            progress(step, steps, "fitting a field")
+
+    fitted, report = fit_mesh(V, F, seed=case.seed, progress=tell, **case.parameters.get("fit", {}))
+    return fitted, report.to_dict(), [*notes, f"The fit of a field to {case.name}: {report.verdict}"]
+
+
+def describe(subject: Subject) -> dict[str, Any]:
+    """The subject in numbers, in the user's units."""
+    import meshref
+
+    scale = subject.scale
+    sides = (subject.V.max(axis=0) - subject.V.min(axis=0)) * scale
+    return {
+        "vertices": len(subject.V),
+        "faces": len(subject.F),
+        "parameters": subject.field.theta.numel(),
+        "scale": scale,
+        "offset": list(subject.field.units.offset),
+        "sides": sides,
+        "volume": meshref.volume(subject.V, subject.F) * scale**3,
+        "area": meshref.area(subject.V, subject.F) * scale**2,
+        "genus": meshref.genus(subject.V, subject.F),
+        "bodies": meshref.component_count(subject.V, subject.F),
+        "fit": subject.fit,
+    }

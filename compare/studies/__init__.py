@@ -1,0 +1,1 @@
+"""Studies: grids of cases, their folders and their curves."""

@@ -1,0 +1,152 @@
+"""The cases of a study: every shape, operation and combination of the grid, with the handles that all share.
+
+Handles are found on the shape itself, not on the common mesh of a case, so that they are the same at every setting.
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from numpy import ndarray
+
+import implicit
+import meshref
+from compare.cases.case import BUNDLED, FIELD_SUFFIX, MESH_SUFFIXES, Case, Operation
+from compare.cases.default_cases import QUICK_FIT, QUICK_SIZE, default_cases
+from compare.cases.settings import OF_A_CASE, OF_SMOOTHING, parts_of, with_settings
+from compare.errors import InputError
+from compare.fitting.fit import fit_mesh, place_in_cube
+from compare.runs.subject import load_mesh
+from compare.studies.study import Study, settings_at
+from implicit.shapes import bundled
+
+POINTS = 20_000  # on a shape, among which handles are found
+CELLS = 64  # along a field's bounds, for these
+CELLS_TO_FIT = 128  # and for the mesh of a bundled shape, to which networks are fitted
+
+# What compare hands to the editors itself, beside what takes more than plain data.
+OURS = {"track", "progress", "seed", "constraints", "checkpoint", "units"}
+
+
+# What stands behind implicit.NAME, mesh.NAME and fit.NAME.
+FITS: tuple[Callable[..., Any], ...] = (fit_mesh, implicit.fit_field)
+EDITORS: dict[tuple[str, Operation], tuple[Callable[..., Any], ...]] = {
+    ("implicit", "geometric"): (implicit.geometric_edit,),
+    ("implicit", "smooth"): (implicit.smooth,),
+    ("implicit", "rigid"): (implicit.rigid_edit,),
+    ("mesh", "geometric"): (),
+    ("mesh", "smooth"): (meshref.mean_curvature_flow,),
+    ("mesh", "rigid"): (meshref.killing,),
+}
+
+
+def plan(study: Study, inputs: Path) -> list[Case]:
+    """All cases of a study, in the order of shapes, operations and grid.
+
+    Args:
+        study: Whose shapes have been checked.
+        inputs: The folder where a bundled shape is written as a mesh, if the study fits networks.
+
+    Raises:
+        InputError: An option is not one that the editor of an operation takes.
+    """
+    check_options(study)
+    cases = []
+    for name in study.shapes:
+        shape = _as_mesh(name, inputs) if _fits(study) and name in BUNDLED else name
+        V, N = outline(shape)
+        fit = QUICK_FIT if study.quick and Path(shape).suffix.lower() in MESH_SUFFIXES else {}
+        settings = QUICK_SIZE if study.quick else {}
+        for base in default_cases(shape, V, N, operations=study.operations, quick=study.quick, fit=fit, **settings):
+            if study.handles and base.operation != "smooth":
+                base = replace(base, handles=study.handles)
+            for point in combinations(study):
+                cases.append(with_settings(base, {**study.settings, **point}))
+    return cases
+
+
+def combinations(study: Study) -> Iterator[dict[str, Any]]:
+    """The settings at each point of the grid; the last axis changes fastest."""
+    axes = [[settings_at(axis, value) for value in values] for axis, values in study.grid.items()]
+    for point in itertools.product(*axes):
+        yield {name: value for part in point for name, value in part.items()}
+
+
+def outline(shape: str) -> tuple[Float[ndarray, "n 3"], Float[ndarray, "n 3"]]:
+    """Points spread evenly over a shape, in the coordinates its field has or will have, and outward normals there."""
+    if Path(shape).suffix.lower() in MESH_SUFFIXES:
+        V, F, _ = load_mesh(shape)
+        V, _ = place_in_cube(V)
+    else:
+        V, F = implicit.extract_mesh(_field(shape), CELLS)
+    sample = meshref.sample_mesh(V, F, POINTS)
+    return sample.points, sample.normals
+
+
+def check_options(study: Study) -> None:
+    """Refuse what no editor takes, and what would do nothing.
+
+    Raises:
+        InputError: A setting is not an option of the editors of the study's operations; the message lists them.
+    """
+    for name in [*study.settings, *study.varied]:
+        idle = [operation for operation in study.operations if not _takes(name, operation)]
+        if idle and (name in study.varied or len(idle) == len(study.operations)):
+            part, _, option = name.removeprefix(f"{idle[0]}.").rpartition(".")
+            options = sorted(_options(part, idle[0]))
+            close = difflib.get_close_matches(option, options, n=1)
+            hint = f" Did you mean {name.removesuffix(option)}{close[0]}?" if close else ""
+            raise InputError(
+                f"The setting {name} does nothing in a {idle[0]} edit, which takes "
+                f"{', '.join(f'{part}.{known}' if part else known for known in options) or 'none there'}.{hint}"
+            )
+    fields = [shape for shape in study.shapes if Path(shape).suffix.lower() == FIELD_SUFFIX]
+    if _fits(study) and fields:
+        raise InputError(f"The study sets how networks are fitted, but {fields[0]} is one already. Name its mesh.")
+
+
+def _takes(name: str, operation: Operation) -> bool:
+    parts = parts_of(name, operation)
+    return parts is not None and parts[-1] in _options(".".join(parts[:-1]), operation)
+
+
+def _options(part: str, operation: Operation) -> set[str]:
+    """The options of the functions that stand behind a part of the settings, as far as they are plain data."""
+    if part == "fit":
+        functions = FITS
+    elif part in ("implicit", "mesh"):
+        functions = EDITORS[part, operation]
+    else:
+        return set(OF_A_CASE) | (set(OF_SMOOTHING) if operation == "smooth" else set())
+    names = {
+        name
+        for function in functions
+        for name, parameter in inspect.signature(function).parameters.items()
+        if parameter.kind is parameter.KEYWORD_ONLY and name not in OURS
+    }
+    return names - set(OF_SMOOTHING) if operation == "smooth" and part != "fit" else names
+
+
+def _fits(study: Study) -> bool:
+    return any(name.split(".")[0] == "fit" for name in [*study.settings, *study.varied])
+
+
+def _field(shape: str) -> implicit.Field:
+    return (bundled(shape) if shape in BUNDLED else implicit.load_field(shape)).to(torch.float64)
+
+
+def _as_mesh(name: str, inputs: Path) -> str:
+    """The surface of a bundled shape in a file, for networks of other sizes to be fitted to."""
+    path = inputs.absolute() / f"{name}.ply"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    V, F = implicit.extract_mesh(_field(name), CELLS_TO_FIT)
+    meshref.write_mesh(path, V, F)
+    return str(path)

@@ -1,0 +1,159 @@
+"""Where an edit acts and what it asks: regions of space, motions, and handles that join the two.
+
+A region is any callable from points (N, D) to weights (N,) in [0, 1]; the ones here combine with & (both),
+| (either) and ~ (all but). Their optional `falloff` lets the weight sink smoothly from 1 to 0 over that
+length outside, by the quintic 1 - 10 t^3 + 15 t^4 - 6 t^5, twice continuously differentiable.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from implicit.arguments import require_callable, require_numbers, require_positive
+
+RegionLike = Callable[[Tensor], Tensor]
+Vector = Sequence[float] | Tensor
+
+
+class Region(ABC):
+    """A part of space as weights in [0, 1]."""
+
+    @abstractmethod
+    def __call__(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
+        """Weight of each point."""
+
+    def __and__(self, other: RegionLike) -> Region:
+        require_callable("The other region", other, "a region, or a function from points (N, D) to weights (N,)")
+        return _Combined(lambda points: torch.minimum(self(points), other(points)))
+
+    def __or__(self, other: RegionLike) -> Region:
+        require_callable("The other region", other, "a region, or a function from points (N, D) to weights (N,)")
+        return _Combined(lambda points: torch.maximum(self(points), other(points)))
+
+    def __invert__(self) -> Region:
+        return _Combined(lambda points: 1 - self(points))
+
+
+class _Combined(Region):
+    def __init__(self, weight: RegionLike) -> None:
+        self._weight = weight
+
+    def __call__(self, points: Tensor) -> Tensor:
+        return self._weight(points)
+
+
+@dataclass(frozen=True)
+class Ball(Region):
+    """Points within `radius` of `center`."""
+
+    center: Vector
+    radius: float
+    falloff: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_place("center of a Ball", self.center)
+        _require_positive("Ball", "radius", self.radius)
+        require_positive("falloff of a Ball", self.falloff, "length", or_zero=True)
+
+    def __call__(self, points: Tensor) -> Tensor:
+        return _sink((points - like(self.center, points)).norm(dim=1) - self.radius, self.falloff)
+
+
+@dataclass(frozen=True)
+class Box(Region):
+    """Points between the corners `lower` and `upper`."""
+
+    lower: Vector
+    upper: Vector
+    falloff: float = 0.0
+
+    def __post_init__(self) -> None:
+        lower, upper = require_place("lower of a Box", self.lower), require_place("upper of a Box", self.upper)
+        require_positive("falloff of a Box", self.falloff, "length", or_zero=True)
+        if lower.shape != upper.shape or not bool((lower < upper).all()):
+            raise ValueError(f"Box needs lower < upper in each coordinate, but got {self.lower} and {self.upper}.")
+
+    def __call__(self, points: Tensor) -> Tensor:
+        outside = torch.maximum(like(self.lower, points) - points, points - like(self.upper, points)).clamp(min=0)
+        return _sink(outside.norm(dim=1), self.falloff)
+
+
+@dataclass(frozen=True)
+class HalfSpace(Region):
+    """Points on the side of the plane through `point` that `normal` points to."""
+
+    point: Vector
+    normal: Vector
+    falloff: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_place("point of a HalfSpace", self.point)
+        normal = require_place("normal of a HalfSpace", self.normal)
+        _require_positive("HalfSpace", "length of normal", float(normal.norm()))
+        require_positive("falloff of a HalfSpace", self.falloff, "length", or_zero=True)
+
+    def __call__(self, points: Tensor) -> Tensor:
+        normal = like(self.normal, points)
+        return _sink(-(points - like(self.point, points)) @ (normal / normal.norm()), self.falloff)
+
+
+@dataclass(frozen=True, eq=False)
+class NearPoints(Region):
+    """Points within `radius` of any of `centers` (M, D): a set picked on a mesh, for instance."""
+
+    centers: Float[Tensor, "m d"]
+    radius: float
+    falloff: float = 0.0
+
+    def __post_init__(self) -> None:
+        _require_positive("NearPoints", "radius", self.radius)
+        require_positive("falloff of NearPoints", self.falloff, "length", or_zero=True)
+        centers = require_numbers("centers of NearPoints", self.centers, "points (M, D)")
+        if centers.ndim != 2 or len(centers) == 0:
+            raise ValueError("NearPoints needs centers of shape (M, D) with M >= 1; pick at least one point.")
+
+    def __call__(self, points: Tensor) -> Tensor:
+        centers = like(self.centers, points)
+        nearest = torch.cat([torch.cdist(part, centers).amin(dim=1) for part in points.split(4096)])
+        return _sink(nearest - self.radius, self.falloff)
+
+
+def _sink(distance: Tensor, falloff: float) -> Tensor:
+    """1 at distance <= 0, sinking to 0 at `falloff`."""
+    if falloff <= 0:
+        return (distance <= 0).to(distance)
+    t = (distance / falloff).clamp(0, 1)
+    return (1 - t**3 * (10 - 15 * t + 6 * t**2)).clamp(0, 1)  # rounding leaves the range near both ends
+
+
+def like(vector: Vector | Tensor, points: Tensor, name: str = "The region") -> Tensor:
+    value = exact(vector, points)
+    if value.shape[-1] != points.shape[1]:
+        raise ValueError(
+            f"{name} must be in the dimensions of the points, {points.shape[1]}, but is in "
+            f"{value.shape[-1]} dimensions."
+        )
+    return value
+
+
+def require_place(name: str, value: Vector) -> Tensor:
+    place = require_numbers(name, value, "a point or vector (D,)")
+    if place.ndim != 1:
+        raise ValueError(f"{name} must be a point or vector (D,), but has the shape {tuple(place.shape)}.")
+    return place
+
+
+def exact(value: Vector | float, of: Tensor) -> Tensor:
+    """Return the value in the other's dtype; plain numbers go there without torch's default of single precision."""
+    return value.to(of) if isinstance(value, Tensor) else torch.as_tensor(value, dtype=of.dtype, device=of.device)
+
+
+def _require_positive(what: str, name: str, value: float) -> None:
+    if isinstance(value, str) or not value > 0:
+        raise ValueError(f"{what} needs a positive {name}, but got {value!r}.")

@@ -1,0 +1,73 @@
+"""Rigid motions in closed form: the one that fits moved points best, and a plain network's field moved by one.
+
+    f'(x) = f(R^T (x - t)):    W_1' = W_1 R^T,    b_1' = b_1 - W_1 R^T t
+
+so what a rigid edit moves as a whole needs no linearisation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from implicit.field.field import Field
+from implicit.sensitivity.closed_form import is_plain
+from implicit.surface.quadrature import SurfaceSample
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """x -> R x + t."""
+
+    rotation: Float[Tensor, "3 3"]
+    translation: Float[Tensor, " 3"]
+
+    @classmethod
+    def none(cls, like: Tensor) -> Placement:
+        """The motion that leaves all where it is."""
+        return cls(torch.eye(3).to(like), torch.zeros(3).to(like))
+
+    @classmethod
+    def fitting(
+        cls, start: Float[Tensor, "n 3"], goal: Float[Tensor, "n 3"], weights: Float[Tensor, " n"]
+    ) -> Placement:
+        """The rigid motion that takes the points nearest to their goals in the weighted mean square [Kabsch 1976]."""
+        share = weights / weights.sum()
+        a, b = share @ start, share @ goal
+        U, _, Vt = torch.linalg.svd((goal - b).T @ (share[:, None] * (start - a)))
+        turn = torch.ones_like(a)
+        turn[-1] = torch.linalg.det(U @ Vt)  # a reflection is no rigid motion
+        rotation = (U * turn) @ Vt
+        return cls(rotation, b - rotation @ a)
+
+    def at(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """The points moved."""
+        return points @ self.rotation.T + self.translation
+
+    def undone(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """The points moved back."""
+        return (points - self.translation) @ self.rotation
+
+    def sample(self, sample: SurfaceSample) -> SurfaceSample:
+        """A sample moved along."""
+        return SurfaceSample(self.at(sample.points), sample.normals @ self.rotation.T, sample.weights)
+
+    def field(self, field: Field) -> Field:
+        """The field of a plain network moved along.
+
+        Raises:
+            ValueError: The first layer is not a linear one whose weights and biases are edited.
+        """
+        if not is_plain(field):
+            raise ValueError(
+                "Only a plain network (Siren, Mlp) with all parameters edited can be moved in closed form."
+            )
+        weight, bias = field.layout[0], field.layout[1]
+        theta = field.theta.clone()
+        turned = field.theta[weight.where].view(weight.shape) @ self.rotation.T
+        theta[weight.where] = turned.reshape(-1)
+        theta[bias.where] -= turned @ self.translation
+        return field.with_theta(theta)

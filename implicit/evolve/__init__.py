@@ -1,0 +1,1 @@
+"""The outer loop of every edit, what it holds, and what it gives back."""

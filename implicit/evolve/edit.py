@@ -1,0 +1,150 @@
+"""What an edit gives back: the edited field, how it ended, and the evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from implicit.arguments import require_callable, require_positive, require_whole
+from implicit.field.field import Field, require_field
+from implicit.step.problem import Row
+from implicit.surface.extraction import require_resolution
+from implicit.surface.projection import newton_to_surface
+from implicit.surface.quadrature import SurfaceSample
+from implicit.surface.soundness import Soundness
+
+Progress = Callable[[int, int, Row], None]
+Asked = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+
+# Of the angle between a point's normal and the edited surface's up to which an error is measured along the former.
+LEAST_COSINE = 0.5
+
+# An edit whose error field has at most this root mean square, over the area that was to move, has reached its target.
+REACHED_SHARE = 0.1
+
+
+def require_options(
+    field: Field,
+    *,
+    damping: float | None = None,
+    resolution: int = 48,
+    track: Tensor | None = None,
+    progress: Progress | None = None,
+    seed: int = 0,
+) -> None:
+    """Refuse what no edit can use, before any work."""
+    require_field(field)
+    if damping is not None:
+        require_positive("damping", damping, or_zero=True)
+    require_resolution("resolution", resolution)
+    if track is not None:
+        field.require_points(track, "track")
+    if progress is not None:
+        require_callable("progress", progress, "a function of the step, the number of steps and the record")
+    require_whole("seed", seed, 0)
+
+
+class EditStatus(Enum):
+    """How an edit ended; the value is the sentence a user reads."""
+
+    DONE = "All steps were taken."
+    REACHED = "The stopping rule was met before the last step."
+    NOT_REACHED = "All steps were taken, but the prescribed displacement was not reached; see the error field."
+    NOT_FINITE = "Stopped before a step that would not be finite; the field is as it was before that step."
+    SURFACE_LOST = "Stopped before a step after which the surface would vanish or leave the bounds of the field."
+    CONSTRAINT_NOT_HELD = "Stopped before a step after which a constraint could not be restored to its tolerance."
+    STRAY_PIECES = "All steps were taken, but stray pieces of surface have appeared; see the notes."
+    UNSTABLE = "Stopped because the steps grew beyond what a linear prediction holds for; take smaller steps."
+
+
+@dataclass(frozen=True, eq=False)
+class Edit:
+    """An edited field and the evidence of how it came about.
+
+    Attributes:
+        field: The edited field. `field.write_back()` stores it in the module that the edit began from.
+        points: Starting points (I, D) on the unedited surface, with their `normals` and quadrature `weights`.
+        displacement: Of the starting points, to the end (I, D), a length.
+        wanted: Displacement asked for at the starting points (I, D); NaN where nothing was asked.
+        tracked: Where the `track` points of the caller ended (M, D), or None.
+        trail: Where they were after each step, (M, D) each; the last is `tracked`. Empty without them.
+        history: One row a step: energies, constraint values, residuals, step norms, seconds.
+        status: How it ended.
+        seconds: Wall time.
+        asked: From points and normals of the unedited surface (N, D) to what was asked there: the displacement, NaN
+            where nothing was, and the unit normals the points take along. None where only `wanted` is known.
+        before, after: How sound the field was and is, of geometric and rigid edits.
+        notes: What has become worse, a sentence each.
+    """
+
+    field: Field
+    points: Float[Tensor, "i d"]
+    normals: Float[Tensor, "i d"]
+    weights: Float[Tensor, " i"]
+    displacement: Float[Tensor, "i d"]
+    wanted: Float[Tensor, "i d"]
+    tracked: Float[Tensor, "m d"] | None
+    trail: tuple[Float[Tensor, "m d"], ...]
+    history: list[Row]
+    status: EditStatus
+    seconds: float
+    asked: Asked | None = None
+    before: Soundness | None = None
+    after: Soundness | None = None
+    notes: tuple[str, ...] = ()
+
+    def error_field(self, sample: SurfaceSample | None = None) -> Float[Tensor, " n"]:
+        """Achieved minus wanted normal displacement over the largest wanted one [paper, the error fields of fig. 4].
+
+        Achieved is measured on the edited field: each point x is put at its goal g = x + wanted, and projected from
+        there to the edited surface. The signed way e along the edited surface's normal n' is the gap between the two
+        surfaces; along the normal n that x takes along the gap is e / (n . n'), to second order in e. Beyond 60 degrees
+        between the normals, where the goal folds, that line says nothing any more, and e / cos 60 is taken. An edit
+        that was asked for positions alone (a rigid one) has no such normals; there e itself is the error.
+
+        Args:
+            sample: Points of the unedited surface; None takes the starting points. A geometric edit answers for any,
+                so a dense quadrature of the unedited field shows the error between the points that carried the target.
+
+        Returns:
+            A pure number each, positive where the surface is too far out; NaN where nothing was asked.
+
+        Raises:
+            ValueError: Another sample was given, but the edit knows only of its starting points.
+        """
+        points, normals, wanted, along = self.points, self.normals, self.wanted, None
+        if sample is not None:
+            if self.asked is None:
+                raise ValueError("This edit knows what was asked at its starting points only; leave sample out.")
+            points, normals = sample.points, sample.normals
+        if self.asked is not None:
+            wanted, along = self.asked(points, normals)
+        told = torch.isfinite(wanted).all(dim=1)
+        error = torch.full_like(points[:, 0], float("nan"))
+        if not bool(told.any()):
+            return error
+        goal = points[told] + wanted[told]
+        largest = (wanted[told] * normals[told]).sum(dim=1).abs().max()
+        surface, arrived = newton_to_surface(self.field, goal, reach=self.field.size / 2)
+        facing = self.field.normal(surface)
+        way = ((surface - goal) * facing).sum(dim=1)
+        if along is not None:
+            way = way / (along[told] * facing).sum(dim=1).clamp(min=LEAST_COSINE)
+        way = torch.where(arrived, way, torch.full_like(way, float("nan")))
+        error[told] = way / largest.clamp(min=torch.finfo(way.dtype).tiny)
+        return error
+
+
+def reached(edit: Edit) -> bool:
+    """Whether the root mean square of the error field is at most REACHED_SHARE, where a displacement was asked for."""
+    error = edit.error_field()
+    asked = torch.isfinite(edit.wanted).all(dim=1)
+    moved = asked & (edit.wanted.norm(dim=1) > 0)
+    if not bool(moved.any()):
+        return True
+    return bool((error[asked] * edit.weights[asked].sqrt()).norm() <= REACHED_SHARE * edit.weights[moved].sum().sqrt())

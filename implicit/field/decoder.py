@@ -1,0 +1,77 @@
+"""Fields of generative models: f(x; z) by a decoder, where an edit moves the latent code z."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from implicit.arguments import require_callable
+from implicit.field.evaluator import OfDecoder, Parameter, frozen_copy
+from implicit.field.field import CUBE, Bounds, Field, Units
+
+
+def decoder_field(
+    decoder: nn.Module | Callable[[Tensor, Tensor], Tensor],
+    latent: Float[Tensor, " l"],
+    *,
+    level: float | None = None,
+    inside: Literal["negative", "positive"] | None = None,
+    bounds: Bounds | None = None,
+    units: Units | None = None,
+    weights: Iterable[str] | None = None,
+) -> Field:
+    """A field whose parameters are the latent code of a generative model; the decoder itself stays as it is.
+
+    Args:
+        decoder: Maps points (N, D) and one code (L,) to values (N,) or (N, 1).
+        latent: The code (L,) to start from; `write_back` stores the edited code in it.
+        level, inside, bounds: As for Field; None takes the decoder's attribute of that name if it has one, else 0,
+            "negative" and the cube [-1, 1]^3.
+        units: As for Field.
+        weights: Names or patterns of the decoder's own parameters to edit together with the code; None edits the code
+            alone.
+    """
+    require_callable("decoder", decoder, "a function or module of points (N, D) and a code (L,)")
+    if not isinstance(latent, Tensor) or not latent.is_floating_point():
+        raise TypeError(f"latent must be a floating tensor of shape (L,), but is {getattr(latent, 'dtype', latent)!r}.")
+    if latent.ndim != 1 or len(latent) == 0 or latent.is_meta or not bool(torch.isfinite(latent).all()):
+        raise ValueError(
+            f"latent must be one code of shape (L,), of finite numbers, but has shape {tuple(latent.shape)} and is "
+            f"{latent}."
+        )
+    level = getattr(decoder, "level", 0.0) if level is None else level
+    side: Literal["negative", "positive"] = getattr(decoder, "inside", "negative") if inside is None else inside
+    bounds = getattr(decoder, "bounds", CUBE) if bounds is None else bounds
+    if weights is not None:
+        if not isinstance(decoder, nn.Module):
+            raise TypeError(f"weights need a decoder that is a torch module, but it is a {type(decoder).__name__}.")
+        patterns = [weights] if isinstance(weights, str) else list(weights)
+        chosen = ["latent", *(f"decoder.{pattern}" for pattern in patterns)]
+        both = _WithCode(decoder, latent)
+        return Field(both, parameters=chosen, level=level, inside=side, bounds=bounds, units=units)
+
+    def store(theta: Tensor) -> None:
+        with torch.no_grad():
+            latent.copy_(theta)
+
+    field = Field.__new__(Field)
+    layout = (Parameter("latent", latent.shape, slice(0, latent.numel())),)
+    evaluator = OfDecoder(frozen_copy(decoder) if isinstance(decoder, nn.Module) else decoder)
+    field._set_up(evaluator, store, latent.detach(), layout, level, side, bounds, units)
+    return field
+
+
+class _WithCode(nn.Module):
+    """A decoder with its code as one more parameter, which shares the caller's memory."""
+
+    def __init__(self, decoder: nn.Module, latent: Tensor) -> None:
+        super().__init__()
+        self.latent = nn.Parameter(latent.detach(), requires_grad=False)
+        self.decoder = decoder
+
+    def forward(self, points: Tensor) -> Tensor:
+        return self.decoder(points, self.latent)

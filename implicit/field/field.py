@@ -1,0 +1,370 @@
+"""A neural field: a function f(x; theta), the parameters that may be edited, and where its surface is.
+
+Conventions, here as everywhere: after `level` and `inside` are applied, f < 0 inside and f > 0 outside;
+normals point out; kappa = div n is the sum of the principal curvatures (+2/r on a sphere, +1/r on a circle).
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from implicit.arguments import require_choice, require_finite, require_numbers, require_positive
+from implicit.field.evaluator import Evaluator, OfModule, Parameter, frozen_copy
+
+Bounds = tuple[Sequence[float], Sequence[float]]
+CUBE: Bounds = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
+
+# Points evaluated at once: large enough to fill the vector units, small enough that the activations of a
+# network 1024 wide stay within a few hundred megabytes.
+CHUNK = 32768
+
+
+@dataclass(frozen=True)
+class Units:
+    """The way from the field's own coordinates x to the user's: scale * x + offset."""
+
+    scale: float = 1.0
+    offset: tuple[float, ...] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        require_positive("scale of Units", self.scale)
+        if require_numbers("offset of Units", self.offset, "a number for each coordinate").ndim != 1:
+            raise ValueError(f"offset of Units must be a number for each coordinate, but is {self.offset!r}.")
+
+    def to_user(self, points: Tensor) -> Tensor:
+        """Points (..., D) of the field in the user's units."""
+        return points * self.scale + torch.as_tensor(self.offset, dtype=points.dtype, device=points.device)
+
+    def to_field(self, points: Tensor) -> Tensor:
+        """Points (..., D) of the user in the field's units."""
+        return (points - torch.as_tensor(self.offset, dtype=points.dtype, device=points.device)) / self.scale
+
+
+class SurfaceError(ValueError):
+    """The field has no usable surface inside its bounds."""
+
+
+class Field:
+    """A function f(x; theta) whose zero set is a surface (3D) or a curve (2D), and the parameters to edit.
+
+    The field keeps a copy of the module in evaluation mode (dropout off, batch norm fixed), so editing never
+    disturbs the caller's module until `write_back` stores the edited parameters in it.
+
+    Args:
+        module: Any differentiable module from points (N, D) to values (N,) or (N, 1), each point by itself.
+        parameters: Names or shell-style patterns of the parameters to edit; None edits all of them.
+        level: The value of the module on the surface, e.g. 0.5 for an occupancy.
+        inside: Whether the module is below the level inside ("negative") or above it ("positive").
+        bounds: Lower and upper corner of a box that holds the surface; its length gives the dimension D.
+        units: How the field's coordinates relate to the user's.
+
+    Raises:
+        ValueError: The module has no such parameters, or they differ in dtype or device or are not finite.
+        TypeError: The module does not map (N, D) points to N values.
+    """
+
+    def __init__(
+        self,
+        module: nn.Module,
+        *,
+        parameters: Iterable[str] | None = None,
+        level: float = 0.0,
+        inside: Literal["negative", "positive"] = "negative",
+        bounds: Bounds = CUBE,
+        units: Units | None = None,
+    ) -> None:
+        if not isinstance(module, nn.Module):
+            raise TypeError(
+                f"module must be a torch module, but is a {type(module).__name__}. Wrap a function in one, or give "
+                "decoder_field a function of points and a code."
+            )
+        blocks = _selected(module, parameters)
+        theta = torch.cat([block.detach().reshape(-1) for block in blocks.values()])
+        layout = _layout({name: block.shape for name, block in blocks.items()})
+
+        def store(theta: Tensor) -> None:
+            with torch.no_grad():
+                for block in layout:
+                    blocks[block.name].copy_(theta[block.where].view(block.shape))
+
+        self._set_up(OfModule(frozen_copy(module), layout), store, theta, layout, level, inside, bounds, units)
+
+    def _set_up(
+        self,
+        evaluator: Evaluator,
+        store: Callable[[Tensor], None],
+        theta: Tensor,
+        layout: tuple[Parameter, ...],
+        level: float,
+        inside: str,
+        bounds: Bounds,
+        units: Units | None,
+    ) -> None:
+        """Set what a field is, whatever it is made of: here a module, in implicit.field.decoder a code."""
+        require_choice("inside", inside, ("negative", "positive"))
+        require_finite("level", level)
+        if not torch.isfinite(theta).all():
+            raise ValueError(
+                "The parameters must be finite, but hold NaN or infinite numbers. Load or train the module again."
+            )
+        box = require_numbers("bounds", bounds, "a lower and an upper corner").to(theta)
+        if box.ndim != 2 or box.shape[0] != 2 or box.shape[1] not in (2, 3) or not bool((box[0] < box[1]).all()):
+            raise ValueError(
+                "bounds must be a lower and an upper corner in 2 or 3 dimensions, the lower one smaller in each "
+                f"coordinate, but is {bounds}."
+            )
+        if units is not None and (not isinstance(units, Units) or len(units.offset) != box.shape[1]):
+            raise ValueError(
+                f"units must be Units with an offset of {box.shape[1]} numbers, as the bounds, but are {units!r}."
+            )
+        self.theta: Float[Tensor, " p"] = theta.clone()
+        self.level = float(level)
+        self.inside = inside
+        self.bounds: Float[Tensor, "2 d"] = box
+        self.layout = layout
+        self.units = units if units is not None else Units(1.0, (0.0,) * self.dimension)
+        self.sign: float = 1.0 if inside == "negative" else -1.0
+        self._evaluator = evaluator
+        self._store = store
+        self._check_shape_of_values()
+
+    def _check_shape_of_values(self) -> None:
+        """One evaluation of three points, so that a foreign module is refused here and not in a long run."""
+        probe = self.bounds.mean(dim=0) + torch.zeros(3, self.dimension, dtype=self.dtype, device=self.device)
+        with torch.no_grad():
+            try:
+                values = self._evaluator(self.theta, probe)
+            except Exception as error:
+                raise TypeError(
+                    f"The module or decoder could not be evaluated at points of shape (3, {self.dimension}), dtype "
+                    f"{self.dtype}: {error}. It must map points (N, {self.dimension}) to N values."
+                ) from error
+        if not isinstance(values, Tensor) or values.numel() != 3 or not values.is_floating_point():
+            came = f"{tuple(values.shape)}, {values.dtype}" if isinstance(values, Tensor) else type(values).__name__
+            raise TypeError(f"The module must map 3 points to 3 real values, but gave {came}. Wrap it so that it does.")
+
+    # What it is
+
+    @property
+    def module(self) -> nn.Module | None:
+        """What is evaluated, frozen; its own parameters stay as they were. None for a function that is no module."""
+        return self._evaluator.module
+
+    @property
+    def dimension(self) -> int:
+        """D, 2 or 3."""
+        return self.bounds.shape[1]
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """The precision of theta, and of everything computed from it."""
+        return self.theta.dtype
+
+    @property
+    def device(self) -> torch.device:
+        """Where theta lives."""
+        return self.theta.device
+
+    @property
+    def size(self) -> float:
+        """Length of the longest side of the bounds, the unit for step lengths and tolerances."""
+        return float((self.bounds[1] - self.bounds[0]).max())
+
+    # The function
+
+    def function(self, theta: Float[Tensor, " p"], points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
+        """f(points; theta), differentiable in both arguments and usable under torch.func transforms."""
+        return (self._evaluator(theta, points).reshape(points.shape[0]) - self.level) * self.sign
+
+    def value(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
+        """f at the points, in chunks and without a graph; negative inside."""
+        points = self.require_points(points)
+        with torch.no_grad():
+            return torch.cat([self.function(self.theta, part) for part in _chunks(points)])
+
+    def gradient(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
+        """df/dx at the points."""
+        return self.value_and_gradient(points)[1]
+
+    def value_and_gradient(self, points: Float[Tensor, "n d"]) -> tuple[Float[Tensor, " n"], Float[Tensor, "n d"]]:
+        """f and df/dx at the points, in one pass."""
+        points = self.require_points(points)
+        values, gradients = [], []
+        with torch.enable_grad():
+            for part in _chunks(points):
+                x = part.detach().requires_grad_()
+                f = self.function(self.theta, x)
+                (g,) = torch.autograd.grad(f.sum(), x)
+                values.append(f.detach())
+                gradients.append(g)
+        return torch.cat(values), torch.cat(gradients)
+
+    def hessian(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n d d"]:
+        """d2f/dx2 at the points, symmetric."""
+        return self.gradient_and_hessian(points)[1]
+
+    def gradient_and_hessian(self, points: Float[Tensor, "n d"]) -> tuple[Float[Tensor, "n d"], Float[Tensor, "n d d"]]:
+        """df/dx and d2f/dx2 at the points, in one pass."""
+        points = self.require_points(points)
+        gradients, hessians = [], []
+        with torch.enable_grad():
+            for part in _chunks(points):
+                x = part.detach().requires_grad_()
+                (g,) = torch.autograd.grad(self.function(self.theta, x).sum(), x, create_graph=True)
+                columns = [
+                    torch.autograd.grad(g[:, k].sum(), x, retain_graph=True, allow_unused=True)[0]
+                    if g.requires_grad
+                    else None
+                    for k in range(self.dimension)
+                ]
+                h = torch.stack([torch.zeros_like(x) if c is None else c for c in columns], dim=-1)
+                gradients.append(g.detach())
+                hessians.append((h + h.transpose(1, 2)) / 2)
+        return torch.cat(gradients), torch.cat(hessians)
+
+    def normal(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
+        """Outward unit normals df/dx / |df/dx|.
+
+        Raises:
+            ValueError: The gradient vanishes at a point.
+        """
+        gradients = self.gradient(points)
+        return gradients / self.gradient_length(gradients)[:, None]
+
+    def mean_curvature(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
+        """kappa = div n, the sum of the principal curvatures of the level set through each point."""
+        gradients, hessians = self.gradient_and_hessian(points)
+        length = self.gradient_length(gradients)
+        n = gradients / length[:, None]
+        return (hessians.diagonal(dim1=1, dim2=2).sum(1) - torch.einsum("ni,nij,nj->n", n, hessians, n)) / length
+
+    def gradient_length(self, gradients: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
+        """|df/dx|, refused where it vanishes: there the surface has no normal and its motion no meaning."""
+        length = gradients.norm(dim=1)
+        bad = ~(length > 1e-7 * length.median())
+        if bool(bad.any()):
+            i = int(bad.nonzero()[0])
+            raise ValueError(
+                f"The gradient of the field vanishes or is not finite: |df/dx| = {float(length[i]):.3g} at "
+                f"points[{i}], median {float(length.median()):.3g}. Leave that point out, or refit the field there."
+            )
+        return length
+
+    # Other parameters
+
+    def with_theta(self, theta: Float[Tensor, " p"]) -> Field:
+        """The same field at other parameters; the two share the module, not the parameters."""
+        if not isinstance(theta, Tensor) or theta.shape != self.theta.shape or theta.is_meta:
+            came = f"{tuple(theta.shape)} on {theta.device}" if isinstance(theta, Tensor) else type(theta).__name__
+            raise ValueError(f"theta must be a tensor of shape {tuple(self.theta.shape)}, but is {came}.")
+        other = copy.copy(self)
+        other.theta = theta.detach().to(self.theta).clone()
+        return other
+
+    def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> Field:
+        """The same field in another precision or on another device; `write_back` still reaches the original."""
+        if dtype is not None and not (isinstance(dtype, torch.dtype) and dtype.is_floating_point):
+            raise TypeError(f"dtype must be a floating one such as torch.float64, but is {dtype!r}.")
+        try:
+            target = self.device if device is None else torch.device(device)
+        except RuntimeError as error:
+            raise ValueError(f"device must be one of torch, such as cpu or cuda, but is {device!r}.") from error
+        if target.type == "meta":
+            raise ValueError("device must hold numbers, but the meta device holds none. Take cpu or cuda.")
+        other = copy.copy(self)
+        other.theta = self.theta.to(dtype=dtype, device=device)
+        other.bounds = self.bounds.to(dtype=dtype, device=device)
+        other._evaluator = self._evaluator.to(dtype, device)
+        return other
+
+    def write_back(self) -> None:
+        """Store theta in the module (or latent code) that the field was made from, in place."""
+        self._store(self.theta)
+
+    def require_points(self, points: Tensor, name: str = "points") -> Tensor:
+        """The points as given, or a clear refusal: shape (N, D), finite, in the field's dtype and device."""
+        if not isinstance(points, Tensor):
+            raise TypeError(
+                f"{name} must be a torch tensor of shape (N, {self.dimension}), but is a {type(points).__name__}. "
+                f"Convert it with torch.as_tensor({name}, dtype=field.dtype, device=field.device)."
+            )
+        if points.ndim != 2 or points.shape[1] != self.dimension:
+            raise ValueError(f"{name} must have shape (N, {self.dimension}), but have {tuple(points.shape)}.")
+        if points.dtype != self.dtype or points.device != self.device:
+            raise ValueError(
+                f"{name} must be {self.dtype} on {self.device} like the field, but are {points.dtype} on "
+                f"{points.device}. Use {name}.to(field.theta), or field.to(...)."
+            )
+        if not bool(torch.isfinite(points).all()):
+            i = int((~torch.isfinite(points)).any(dim=1).nonzero()[0])
+            raise ValueError(f"{name}[{i}] is not finite: {points[i].tolist()}. Remove or mend it.")
+        return points
+
+    def in_precision(self, points: Tensor) -> Tensor:
+        """Real points in the field's precision; anything else as it is, for require_points to refuse."""
+        if isinstance(points, Tensor) and points.is_floating_point():
+            return points.to(self.dtype)
+        return points
+
+    def require_finite(self, theta: Tensor) -> bool:
+        """Whether parameters may be taken: a step to NaN or infinity is never made."""
+        return bool(torch.isfinite(theta).all())
+
+
+def require_field(field: Field) -> Field:
+    """The field as given, or a clear refusal of what is none."""
+    if not isinstance(field, Field):
+        raise TypeError(
+            f"field must be a Field, but is a {type(field).__name__}. Make one of a torch module by Field(module), of "
+            "a file by load_field(path), of a mesh by compare.fit_mesh(V, F)."
+        )
+    return field
+
+
+def _selected(module: nn.Module, patterns: Iterable[str] | None) -> dict[str, nn.Parameter]:
+    """The parameters to edit, by name, all of one floating dtype on one device."""
+    named = dict(module.named_parameters())
+    if patterns is not None:
+        if not isinstance(patterns, Iterable):
+            raise TypeError(f"parameters must be names or patterns of names, but are {patterns!r}.")
+        patterns = [patterns] if isinstance(patterns, str) else [str(pattern) for pattern in patterns]
+        for pattern in patterns:
+            if not any(fnmatchcase(name, pattern) for name in named):
+                raise ValueError(
+                    f"parameters must be names or patterns of the module's own, but {pattern!r} matches none of "
+                    f"{', '.join(named) or 'none'}."
+                )
+        named = {name: p for name, p in named.items() if any(fnmatchcase(name, pattern) for pattern in patterns)}
+    if not named:
+        raise ValueError("The module must have parameters to edit, but has none. For a latent code use decoder_field.")
+    kinds = {(p.dtype, p.device) for p in named.values()}
+    if len(kinds) > 1 or not next(iter(kinds))[0].is_floating_point:
+        raise ValueError(
+            f"The parameters must share one floating dtype and device, but have {sorted(map(str, kinds))}."
+        )
+    if next(iter(kinds))[1].type == "meta":
+        raise ValueError(
+            "The parameters must hold numbers, but are on the meta device. Load the module to the CPU or a GPU."
+        )
+    return named
+
+
+def _layout(shapes: dict[str, torch.Size]) -> tuple[Parameter, ...]:
+    blocks, start = [], 0
+    for name, shape in shapes.items():
+        blocks.append(Parameter(name, shape, slice(start, start + shape.numel())))
+        start += shape.numel()
+    return tuple(blocks)
+
+
+def _chunks(points: Tensor) -> Iterator[Tensor]:
+    """Parts of at most CHUNK rows; one empty part for no rows, so that shapes survive."""
+    return iter(points.split(CHUNK)) if points.shape[0] else iter([points])

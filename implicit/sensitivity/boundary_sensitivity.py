@@ -1,0 +1,195 @@
+"""How the surface moves when the parameters of the field move.
+
+Moving theta by d_theta moves each point of the surface f(x; theta) = 0 outward by
+
+    d_n = b . d_theta,    b(x) = -(df/dtheta) / |df/dx|          [Berzins et al. 2023, eq. 3]
+
+The matrix B with rows b(x_i) is never needed whole: `normal_displacement` is its product with a parameter
+change, `adjoint` that of its transpose with weights at the points.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.func import grad, grad_and_value, jvp, vmap
+
+from implicit.arguments import require_tensor
+from implicit.field.field import CHUNK, Field, require_field
+from implicit.sensitivity.closed_form import is_plain, plain_gradient, plain_gradient_and_slope
+
+# Numbers in the largest block of B made at once, 256 MB in float64: enough rows for the symmetric product, whose
+# every call reads and writes the whole normal matrix.
+BLOCK = 32_000_000
+
+
+def basis(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n p"]:
+    """Outward speed of each surface point per unit of each parameter, B (paper, eq. 3).
+
+    Row i is -(df/dtheta) / |df/dx| at points[i]. Multiplying f by a positive constant changes nothing.
+
+    Args:
+        field: A field with p parameters; it need not be a distance.
+        points: Points (N, D) on the surface.
+
+    Returns:
+        Length per unit of parameter, (N, P). For large N times P use `normal_displacement` and `adjoint`.
+
+    Raises:
+        ValueError: The gradient vanishes at a point.
+    """
+    points = require_field(field).require_points(points)
+    blocks = [basis_block(field, part) for part in row_blocks(points, len(field.theta))]
+    return blocks[0] if len(blocks) == 1 else torch.cat(blocks)
+
+
+def basis_block(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n p"]:
+    """As `basis`, in one piece."""
+    length = field.gradient_length(field.gradient(points))
+    return parameter_gradient(field, points).div_(-length[:, None])
+
+
+def parameter_gradient(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n p"]:
+    """df/dtheta at each point."""
+    if is_plain(field):
+        return plain_gradient(field, points)
+    try:
+        return vmap(grad(_at_one_point(field)), in_dims=(None, 0))(field.theta, points)
+    except (RuntimeError, NotImplementedError) as error:
+        return _one_by_one(field, points, error)[:, 0]
+
+
+def value_and_gradients(
+    field: Field, points: Float[Tensor, "n d"]
+) -> tuple[Float[Tensor, " n"], Float[Tensor, "n d"], Float[Tensor, "n p"]]:
+    """f, df/dx and df/dtheta at each point, by one forward and one backward pass where torch can."""
+    if not is_plain(field):
+        both = vmap(grad_and_value(_at_one_point(field), argnums=(0, 1)), in_dims=(None, 0))
+        try:
+            (of_theta, of_x), values = both(field.theta, points)
+            return values, of_x, of_theta
+        except (RuntimeError, NotImplementedError):
+            pass  # some modules refuse vmap; the parts below have a way for those
+    values, gradients = field.value_and_gradient(points)
+    return values, gradients, parameter_gradient(field, points)
+
+
+def normal_displacement(
+    field: Field,
+    points: Float[Tensor, "n d"],
+    d_theta: Float[Tensor, " p"],
+    lengths: Float[Tensor, " n"] | None = None,
+) -> Float[Tensor, " n"]:
+    """Outward motion B d_theta of surface points, a length, without making B.
+
+    Args:
+        lengths: |df/dx| at the points, where the caller has it already.
+
+    Raises:
+        ValueError: The gradient vanishes at a point, or d_theta has another size than theta.
+    """
+    points = require_field(field).require_points(points)
+    require_tensor("d_theta", d_theta, field.theta.shape, field.device)
+    if lengths is None:
+        lengths = field.gradient_length(field.gradient(points))
+    require_tensor("lengths", lengths, points.shape[:1], field.device)
+    change = [_directional(field, part, d_theta.to(field.theta)) for part in points.split(CHUNK)]
+    return -torch.cat(change) / lengths if change else points.new_zeros(0)
+
+
+def _directional(field: Field, points: Tensor, d_theta: Tensor) -> Tensor:
+    """df/dtheta . d_theta at each point."""
+    try:
+        return jvp(lambda theta: field.function(theta, points), (field.theta,), (d_theta,))[1]
+    except NotImplementedError:
+        # Some layers (weight norm) have no forward derivative. The backward pass is linear in its weights w, so
+        # the derivative of (B^T w) . d_theta by w is B d_theta, whatever w.
+        theta = field.theta.detach().requires_grad_()
+        with torch.enable_grad():
+            w = torch.zeros_like(points[:, 0]).requires_grad_()
+            (back,) = torch.autograd.grad(field.function(theta, points) @ w, theta, create_graph=True)
+            return torch.autograd.grad(back @ d_theta, w)[0]
+
+
+def adjoint(
+    field: Field,
+    points: Float[Tensor, "n d"],
+    weights: Float[Tensor, " n"],
+    lengths: Float[Tensor, " n"] | None = None,
+) -> Float[Tensor, " p"]:
+    """B^T weights: the sum of weights[i] b(points[i]), by one backward pass.
+
+    Args:
+        lengths: |df/dx| at the points, where the caller has it already.
+    """
+    points = require_field(field).require_points(points)
+    require_tensor("weights", weights, points.shape[:1], field.device)
+    if lengths is None:
+        lengths = field.gradient_length(field.gradient(points))
+    require_tensor("lengths", lengths, points.shape[:1], field.device)
+    scaled = -weights / lengths
+    total = torch.zeros_like(field.theta)
+    theta = field.theta.detach().requires_grad_()
+    with torch.enable_grad():
+        for part, share in zip(points.split(CHUNK), scaled.split(CHUNK), strict=True):
+            (gradient,) = torch.autograd.grad(field.function(theta, part) @ share, theta)
+            total += gradient
+    return total
+
+
+def parameter_gradient_and_slope(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n e p"]:
+    """df/dtheta and, after it, its derivatives in space d(df/dtheta)/dx, (N, 1 + D, P)."""
+    if is_plain(field):
+        return plain_gradient_and_slope(field, points)
+    gradient = grad(_at_one_point(field))
+
+    def one(theta: Tensor, point: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:
+        return jvp(lambda x: gradient(theta, x), (point,), (direction,))  # type: ignore[return-value]
+
+    along = vmap(vmap(one, in_dims=(None, None, 0)), in_dims=(None, 0, None))
+    directions = torch.eye(field.dimension, dtype=points.dtype, device=points.device)
+    try:
+        values, slopes = along(field.theta, points, directions)
+    except (RuntimeError, NotImplementedError) as error:
+        return _one_by_one(field, points, error)
+    return torch.cat([values[:, :1], slopes], dim=1)
+
+
+def _one_by_one(field: Field, points: Tensor, error: Exception) -> Tensor:
+    """df/dtheta and its slopes by ordinary backward passes, for modules that vmap cannot take."""
+    warnings.warn(
+        f"The module cannot be vectorised over points ({str(error).splitlines()[0]}), so they are differentiated one "
+        "by one, which is slow. In-place operations and data-dependent branches are the usual cause.",
+        RuntimeWarning,
+        stacklevel=4,
+    )
+    both = []
+    with torch.enable_grad():
+        theta = field.theta.detach().requires_grad_()
+        for point in points:
+            x = point.detach()[None].requires_grad_()
+            f = field.function(theta, x)[0]
+            (value,) = torch.autograd.grad(f, theta, retain_graph=True)
+            (gradient,) = torch.autograd.grad(f, x, create_graph=True)
+            rows = [
+                torch.autograd.grad(g, theta, retain_graph=True, allow_unused=True)[0] if g.requires_grad else None
+                for g in gradient[0]
+            ]
+            both.append(torch.stack([value, *(torch.zeros_like(theta) if row is None else row for row in rows)]))
+    return torch.stack(both)
+
+
+def row_blocks(points: Tensor, columns: int) -> Iterator[Tensor]:
+    """The points in parts whose rows of so many columns stay within BLOCK numbers."""
+    yield from points.split(max(1, BLOCK // max(columns, 1)))
+
+
+def _at_one_point(field: Field):  # type: ignore[no-untyped-def]  # torch.func needs a plain function
+    def value(theta: Tensor, point: Tensor) -> Tensor:
+        return field.function(theta, point[None])[0]
+
+    return value

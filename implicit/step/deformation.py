@@ -1,0 +1,193 @@
+"""What can move: displacements of the surface that an edit may choose from, all linear in a few unknowns.
+
+    D(x) = n u + (I - n n^T) T(x),    u = b . d_theta    normal part, spanned by the parameters
+                                      T = phi c          tangential part, spanned by a linear basis (optional)
+
+With s = u - n . T this is D = T + n s, so its Jacobian needs no derivative of the projection:
+
+    J = dT/dx + n (ds/dx)^T + s dn/dx
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from implicit.field.field import Field
+from implicit.sensitivity.boundary_sensitivity import (
+    normal_displacement,
+    parameter_gradient,
+    parameter_gradient_and_slope,
+    row_blocks,
+)
+from implicit.sensitivity.frame import Frame, axes_of, speed_and_slope
+from implicit.step.tangential_basis import TangentialModel
+
+
+class DeformationSpace:
+    """Displacements of a field's surface, linear in (d_theta, c).
+
+    Args:
+        field: Whose parameters span the normal part.
+        tangential: Basis of the tangential part; None allows normal motion alone.
+        directions: Orthonormal columns (P, K): the normal part is then spanned by d_theta = directions c.
+    """
+
+    def __init__(
+        self,
+        field: Field,
+        tangential: TangentialModel | None = None,
+        directions: Float[Tensor, "p k"] | None = None,
+    ) -> None:
+        self.field = field
+        self.tangential = tangential
+        self.directions = directions
+        self.parameters = len(field.theta) if directions is None else directions.shape[1]
+        self.size = self.parameters + (field.dimension * tangential.count if tangential is not None else 0)
+        # Numbers of a row while it is made: over all parameters, before the directions take its part in theirs.
+        self._width = max(self.size, len(field.theta))
+
+    def split(self, x: Float[Tensor, " s"]) -> tuple[Float[Tensor, " p"], Float[Tensor, "d k"] | None]:
+        """The unknowns as d_theta and the tangential coefficients, one row a coordinate."""
+        d_theta = x[: self.parameters]
+        if self.directions is not None:
+            d_theta = self.directions @ d_theta
+        if self.tangential is None:
+            return d_theta, None
+        return d_theta, x[self.parameters :].view(self.field.dimension, self.tangential.count)
+
+    def reduced(self, rows: Float[Tensor, "*n p"]) -> Float[Tensor, "*n k"]:
+        """Rows over the parameters as rows over the unknowns of the normal part."""
+        return rows if self.directions is None else rows @ self.directions
+
+    def displacement(self, points: Float[Tensor, "n d"], x: Float[Tensor, " s"]) -> Float[Tensor, "n d"]:
+        """D at surface points, a length."""
+        d_theta, c = self.split(x)
+        n = self.field.normal(points)
+        moved = n * normal_displacement(self.field, points, d_theta)[:, None]
+        if c is not None and self.tangential is not None:
+            slide = self.tangential.values(points) @ c.T
+            moved = moved + slide - n * (n * slide).sum(dim=1, keepdim=True)
+        return moved
+
+    def normal_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k p"]]]:
+        """n . D as rows over the unknowns of the normal part, in blocks of points."""
+        start = 0
+        for part in row_blocks(points, self._width):
+            length = self.field.gradient_length(self.field.gradient(part))
+            rows = self.reduced(parameter_gradient(self.field, part).div_(-length[:, None]))
+            yield slice(start, start + len(part)), rows
+            start += len(part)
+
+    def value_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k p"]]]:
+        """The change of f itself, at points anywhere, as rows over the unknowns of the normal part, in blocks."""
+        start = 0
+        for part in row_blocks(points, self._width):
+            yield slice(start, start + len(part)), self.reduced(parameter_gradient(self.field, part))
+            start += len(part)
+
+    def normal_slope_rows(
+        self, points: Float[Tensor, "n d"]
+    ) -> Iterator[tuple[slice, Float[Tensor, "k t d"], Float[Tensor, "k t p"]]]:
+        """Tangent axes (one in the plane, two in space), and the slopes of n . D along them as rows, as normal_rows."""
+        start = 0
+        for part in row_blocks(points, 2 * self.field.dimension * self._width):
+            frame = Frame.at(self.field, part)
+            rows = self.reduced(frame.axes[:, :-1] @ speed_and_slope(self.field, frame)[:, 1:])
+            yield slice(start, start + len(part)), frame.axes[:, :-1], rows
+            start += len(part)
+
+    def tangent_rows(
+        self, points: Float[Tensor, "n d"]
+    ) -> Iterator[tuple[slice, Float[Tensor, "k t d"], Float[Tensor, "k t c"]]]:
+        """Tangent axes, and D along them as rows over the tangential coefficients (none without a tangential part)."""
+        start = 0
+        for part in row_blocks(points, self.field.dimension * self.size):
+            axes = axes_of(self.field.normal(part))[:, :-1]
+            rows = axes.new_zeros(*axes.shape[:2], 0)
+            if self.tangential is not None:
+                rows = (axes[:, :, :, None] * self.tangential.values(part)[:, None, None, :]).flatten(2)
+            yield slice(start, start + len(part)), axes, rows
+            start += len(part)
+
+    def strain_rows(
+        self, points: Float[Tensor, "n d"], shares: Mapping[tuple[int, int], float]
+    ) -> Iterator[tuple[slice, Float[Tensor, "r k s"], Float[Tensor, "q k t"]]]:
+        """Weighted entries (a, b) of J + J^T in the surface's own axes (tangents first, normal last), turned.
+
+        The parameters move a point's strain only through the speed u and its slope in space, the tangential functions
+        through their values and slopes. So a rotation among a point's entries, which changes no sum of squares, leaves
+        all but a few of them free of the parameters: of the five entries without the normal one, two.
+
+        Args:
+            shares: Weight of the square of each entry.
+
+        Yields:
+            Rows over all unknowns, and rows over the tangential ones alone, whose squares add up to those of the
+            entries times their shares.
+        """
+        start = 0
+        last = self.field.dimension - 1
+        entries = list(shares)
+        roots = torch.tensor([shares[entry] ** 0.5 for entry in entries], dtype=torch.float64).to(self.field.theta)
+        # A slope of the speed shows only in the entry of its axis with the normal.
+        used = [0, *(1 + a for a in range(last + 1) if (a, last) in shares)]
+        for part in row_blocks(points, (len(entries) + 4) * self._width):
+            frame = Frame.at(self.field, part)
+            axes, n = frame.axes, frame.normals
+            shape = axes @ frame.normal_slopes @ axes.transpose(1, 2)
+            # Entries from (u, du), and from the values and slopes (along the axes) of a function times coordinate i:
+            of_speed = n.new_zeros(len(part), len(entries), last + 2)
+            of_slide = n.new_zeros(len(part), len(entries), last + 1, last + 2)
+            # s = -n . T has the slope -(dn/dx)^T T - (dT/dx)^T n.
+            swing = axes @ frame.normal_slopes.transpose(1, 2)
+            for e, (a, b) in enumerate(entries):
+                bend = shape[:, a, b] + shape[:, b, a]
+                of_speed[:, e, 0] = bend
+                of_slide[:, e, :, 0] = -bend[:, None] * n
+                for here, there in ((a, b), (b, a)):
+                    of_slide[:, e, :, 1 + there] += axes[:, here]
+                    if here == last:
+                        of_speed[:, e, 1 + there] += 1
+                        of_slide[:, e, :, 0] -= swing[:, there]
+                        # dT_here/dx_there, less what the normal part takes back of it
+                        of_slide[:, e, :, 1 + there] -= n
+            turn, of_speed = torch.linalg.qr(roots[:, None] * of_speed[:, :, used], mode="complete")
+            of_slide = torch.einsum("nfe,nfij->neij", turn * roots[:, None], of_slide)
+            touched = min(len(entries), len(used))
+            # Small factors first: the rows of the parameters are the one large product.
+            from_field = frame.quotient_rule.clone()
+            from_field[:, 1:] = axes @ from_field[:, 1:]
+            from_field = of_speed[:, :touched] @ from_field[:, used]
+            rows = torch.empty(touched, len(part), self.size, dtype=part.dtype, device=part.device)
+            own = self.reduced(from_field @ parameter_gradient_and_slope(self.field, part))
+            rows[:, :, : self.parameters] = own.transpose(0, 1)
+            rest = rows.new_zeros(len(entries) - touched, len(part), self.size - self.parameters)
+            if self.tangential is not None:
+                phi, dphi = self.tangential.values(part), self.tangential.slopes(part)
+                functions = torch.cat([phi[:, None], axes @ dphi], dim=1)
+                slides = torch.einsum("neij,njk->enik", of_slide, functions).flatten(2)
+                rows[:, :, self.parameters :] = slides[:touched]
+                rest = slides[touched:]
+            yield slice(start, start + len(part)), rows, rest
+            start += len(part)
+
+
+def spanned(
+    field: Field, on: Float[Tensor, "n d"], off: Float[Tensor, "m d"], count: int
+) -> Float[Tensor, "p k"] | None:
+    """An orthonormal basis of the parameter changes that the sensitivities of so many points span; None for all.
+
+    Args:
+        on, off: Points on the surface and off it, each in an order whose every part is spread evenly. A quarter of
+            those taken at most is off it.
+    """
+    off = off[: count // 4]
+    every = max(1, len(on) // max(1, count - len(off)))
+    chosen = torch.cat([on[::every][: count - len(off)], off])
+    if len(chosen) >= len(field.theta):
+        return None
+    return torch.linalg.qr(parameter_gradient(field, chosen).T)[0]

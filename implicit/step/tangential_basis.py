@@ -1,0 +1,68 @@
+"""Vector fields that can slide points along the surface: what normal motion alone cannot do.
+
+A tangential model is a linear space of smooth vector fields T(x) = sum_k phi_k(x) c_k, the same scalar
+functions phi for each coordinate. Because it is linear, the tangential part of a rigid edit joins the same
+least squares as the parameters; the paper trains a second network instead.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from implicit.field.field import Field
+
+
+class TangentialModel(Protocol):
+    """Scalar functions whose coefficients, one a coordinate, make a vector field."""
+
+    @property
+    def count(self) -> int:
+        """K, the number of scalar functions."""
+
+    def values(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n k"]:
+        """phi at the points."""
+
+    def slopes(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n d k"]:
+        """dphi/dx at the points."""
+
+
+class CosineFeatures:
+    """1, the coordinates, and cosines of random waves cos(w . x + phase), w normal with deviation `frequency`.
+
+    The first D + 1 functions make all affine fields, rigid motions among them, exactly representable. The waves
+    approximate a Gaussian process with length scale 1 / frequency (Rahimi & Recht, NeurIPS 2007).
+
+    Args:
+        field: Gives dimension, dtype, device and the length scale: x is measured in halves of the field's size.
+        waves: How many cosines.
+        frequency: Standard deviation of the wave vectors; 8 suits shapes that fill the bounds.
+        seed: Of the random waves.
+    """
+
+    def __init__(self, field: Field, *, waves: int = 600, frequency: float = 8.0, seed: int = 0) -> None:
+        generator = torch.Generator().manual_seed(seed)
+        self._center = field.bounds.mean(dim=0)
+        self._half = field.size / 2
+        directions = torch.randn(field.dimension, waves, generator=generator, dtype=torch.float64) * frequency
+        self._directions = directions.to(field.theta)
+        self._phases = (2 * torch.pi * torch.rand(waves, generator=generator, dtype=torch.float64)).to(field.theta)
+
+    @property
+    def count(self) -> int:
+        return 1 + self._directions.shape[0] + self._directions.shape[1]
+
+    def values(self, points: Tensor) -> Tensor:
+        x = (points - self._center) / self._half
+        waves = torch.cos(x @ self._directions + self._phases)
+        return torch.cat([torch.ones_like(x[:, :1]), x, waves], dim=1)
+
+    def slopes(self, points: Tensor) -> Tensor:
+        x = (points - self._center) / self._half
+        waves = -torch.sin(x @ self._directions + self._phases)[:, None, :] * self._directions
+        n, dimension = points.shape
+        straight = torch.eye(dimension, dtype=points.dtype, device=points.device).expand(n, -1, -1)
+        return torch.cat([straight.new_zeros(n, dimension, 1), straight, waves], dim=2) / self._half

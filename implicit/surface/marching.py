@@ -1,0 +1,368 @@
+"""Marching over a grid of which only what is near the surface is ever evaluated or visited.
+
+The grid is cut into chunks of 32 cells, these into blocks of 8, of 4 and of 2. A block is left
+out where |f| at its middle exceeds its half diagonal times a bound on |df/dx|: the largest gradient seen near by on a
+coarse grid, with a safety factor. What is left out has the sign of its middle. Of the nodes of the last blocks, those
+that no middle speaks for are evaluated, each once, so that neighbouring chunks agree on them to the bit and their
+triangles fit.
+
+Single precision is all that marching cubes work in; the vertices find the surface afterwards in the field's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise, product
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int, Int8
+from numpy.typing import NDArray
+from skimage.measure import find_contours, marching_cubes
+from torch import Tensor
+
+from implicit.field.field import Field, SurfaceError
+
+# Cells along a block of each level; the first is a chunk, marched as a whole.
+LEVELS = (32, 8, 4, 2)
+CHUNK_CELLS = LEVELS[0]
+
+# The factor by which the largest gradient seen near by is raised to bound those in between.
+GRADIENT_SAFETY = 1.5
+
+# Bytes for the grid of an extraction unless the caller says otherwise: a resolution of about 890 in a cube.
+MEMORY_LIMIT = 4 * 2**30
+BYTES_A_NODE = 6  # value, sign, and what blocks of two cells have for their eight nodes
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Nodes lower + cell * index, index from 0 to cells, along each axis; cubes of one size that cover the bounds."""
+
+    lower: Float[Tensor, " d"]
+    cell: float
+    cells: tuple[int, ...]
+
+    @classmethod
+    def over(cls, field: Field, resolution: int) -> Grid:
+        """So many cells along the longest side of the bounds, the grid centred on them."""
+        cell = field.size / resolution
+        lower, upper = field.bounds
+        cells = [int(np.ceil(side / cell - 1e-9)) for side in (upper - lower).tolist()]
+        return cls((lower + upper) / 2 - cell * torch.tensor(cells).to(lower) / 2, cell, tuple(cells))
+
+    @property
+    def nodes(self) -> tuple[int, ...]:
+        return tuple(count + 1 for count in self.cells)
+
+    def place(self, index: Tensor) -> Tensor:
+        """Where nodes are, or points between them, from their index."""
+        return self.lower + self.cell * index.to(self.lower)
+
+    def require_memory(self, limit: float) -> None:
+        needed = BYTES_A_NODE * float(np.prod(self.nodes, dtype=float))
+        if needed > limit:
+            raise MemoryError(
+                f"A grid of {' x '.join(map(str, self.nodes))} nodes needs about {needed / 2**30:.1f} GiB, more than "
+                f"the limit of {limit / 2**30:.1f} GiB. Lower the resolution, or raise memory_limit."
+            )
+
+
+def march(field: Field, grid: Grid) -> tuple[Float[Tensor, "n d"], Int[Tensor, "m d"]]:
+    """Where the edges of the grid cross f = 0, about, and the triangles (3D) or segments (2D) that join them.
+
+    Raises:
+        SurfaceError: There is no zero set in the bounds, it leaves them, or the field is not finite.
+    """
+    # One dtype for all: what is rounded differently for two neighbours could give a node two signs.
+    single = field.to(torch.float32)
+    index, faces = (_march_squares if field.dimension == 2 else _march_chunks)(single, grid)
+    place = grid.lower + torch.from_numpy(index).to(grid.lower) * grid.cell
+    return place, torch.from_numpy(faces).to(field.device)
+
+
+# In space: chunk by chunk
+
+
+@dataclass(frozen=True, eq=False)
+class Chunks:
+    """The chunks that the surface may run through, and the nodes near it."""
+
+    index: Int[Tensor, "c 3"]
+    blocks: Float[Tensor, "c 16 16 16"]  # in each chunk, f at the middle of the last block that holds the node
+    values: Float[Tensor, "x y z"]  # of the whole grid, filled where near
+    signs: Int8[Tensor, "x y z"]  # zero where not near
+
+    def __iter__(self) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float32]]]:
+        """First node and values of each chunk."""
+        values, signs = self.values.cpu().numpy(), self.signs.cpu().numpy()
+        for start, blocks in zip((self.index * CHUNK_CELLS).cpu().numpy(), self.blocks.cpu().numpy()):
+            where = tuple(slice(first, first + CHUNK_CELLS + 1) for first in start)
+            chunk = _spread(blocks, signs[where].shape)
+            np.copyto(chunk, values[where], where=signs[where] != 0)
+            yield start, chunk
+
+
+def _spread(blocks: NDArray[np.float32], nodes: tuple[int, ...]) -> NDArray[np.float32]:
+    """What each node of a chunk has from the block after it; the last of the grid from the block before it."""
+    side = LEVELS[-1]
+    chunk = np.empty((CHUNK_CELLS + side,) * 3, dtype=np.float32)
+    room = chunk.reshape([part for n in blocks.shape for part in (n + 1, side)])
+    room[:-1, :, :-1, :, :-1, :] = blocks[:, None, :, None, :, None]
+    x, y, z = (n - 1 for n in nodes)
+    chunk[x] = chunk[x - 1]
+    chunk[:, y] = chunk[:, y - 1]
+    chunk[:, :, z] = chunk[:, :, z - 1]
+    return chunk[: x + 1, : y + 1, : z + 1]
+
+
+def _march_chunks(field: Field, grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices in units of the grid, and triangles with outward normals."""
+    places, keys, triangles = [], [], []
+    count = 0
+    for start, values in near_surface(field, grid):
+        if values.min() >= 0 or values.max() < 0:
+            continue
+        # Default winding ("descent") faces outward for f < 0 inside; its normals do not, so they are not used.
+        vertices, faces, _, _ = marching_cubes(values, 0.0)
+        place = vertices.astype(np.float64) + start
+        places.append(place)
+        keys.append(_edge_keys(place, grid.nodes))
+        triangles.append(faces.astype(np.int64) + count)
+        count += len(place)
+    if not places:
+        raise _no_surface(field, positive=bool(field.value(field.bounds.mean(dim=0, keepdim=True)) > 0))
+    # A vertex between two chunks is found by both; they agree on its edge.
+    _, first, merged = np.unique(np.concatenate(keys), return_index=True, return_inverse=True)
+    return np.concatenate(places)[first], merged[np.concatenate(triangles)]
+
+
+def _edge_keys(place: NDArray[np.float64], nodes: tuple[int, ...]) -> NDArray[np.int64]:
+    """A number for the edge of the grid that each vertex lies on, or for the cell where it lies inside one."""
+    nearest = np.rint(place)
+    off = np.abs(place - nearest)
+    axis = off.argmax(axis=1)
+    # Some cases of marching cubes put a vertex inside their cell. The ends of an edge are NUDGE / 2 away or more.
+    inside = np.sort(off, axis=1)[:, 1] > NUDGE / 8
+    along = (np.arange(3) == axis[:, None]) | inside[:, None]
+    corner = np.where(along, np.floor(place), nearest).astype(np.int64)
+    return 4 * np.ravel_multi_index(tuple(corner.T), nodes) + np.where(inside, 3, axis)
+
+
+# Values nearer to zero than this, in units of the change of f over a cell, are moved away from it, so that no vertex
+# comes to lie in a node, where it would belong to several edges. Newton's method takes the vertices to the surface.
+NUDGE = 4e-3
+
+
+def near_surface(field: Field, grid: Grid) -> Chunks:
+    """Evaluate f from coarse to fine, only where the surface can be (3D)."""
+    steepest = _Steepest(field)
+    cells = torch.tensor(grid.cells, device=field.device)
+    counts = [-(-count // CHUNK_CELLS) for count in grid.cells]
+    blocks = _Blocks.evaluate(
+        field,
+        grid,
+        torch.cartesian_prod(*[torch.arange(count, device=field.device) for count in counts]),
+        CHUNK_CELLS,
+        steepest,
+    )
+    chunks = blocks.index[blocks.near]
+    owner = torch.arange(len(chunks), device=field.device)  # the chunk of each block
+    middles = blocks.values[blocks.near][:, None, None, None]
+    index = chunks
+    for coarse, fine in pairwise(LEVELS):
+        ratio = coarse // fine
+        offsets = torch.cartesian_prod(*[torch.arange(ratio, device=field.device)] * 3)
+        index = (index[:, None] * ratio + offsets).view(-1, 3)
+        owner = owner.repeat_interleave(ratio**3)
+        within = (index * fine < cells).all(dim=1)  # the last chunks may stand out over the grid
+        index, owner = index[within], owner[within]
+        blocks = _Blocks.evaluate(field, grid, index, fine, steepest)
+        for axis in (1, 2, 3):
+            middles = middles.repeat_interleave(ratio, dim=axis)
+        middles = middles.contiguous()
+        middles[(owner, *(index % (CHUNK_CELLS // fine)).T)] = blocks.values
+        index, owner = index[blocks.near], owner[blocks.near]
+    signs = middles.flatten(1) < 0
+    crossed = signs.any(dim=1) & ~signs.all(dim=1)
+    crossed[owner] = True
+    return Chunks(chunks[crossed], middles[crossed], *_node_values(field, grid, blocks, steepest))
+
+
+@dataclass(frozen=True, eq=False)
+class _Blocks:
+    """Blocks of so many cells a side, with f at their middles."""
+
+    index: Int[Tensor, "n 3"]  # in units of the side
+    side: int
+    values: Float[Tensor, " n"]
+    clear: Float[Tensor, " n"]  # about the middle the surface comes no nearer than this, a length
+    near: Bool[Tensor, " n"]  # whether the surface may run through the block
+
+    @classmethod
+    def evaluate(cls, field: Field, grid: Grid, index: Int[Tensor, "n 3"], side: int, steepest: _Steepest) -> _Blocks:
+        first = index * side
+        cells = torch.tensor(grid.cells, device=index.device)
+        last = torch.minimum(first + side, cells)
+        middle = grid.place((first + last) / 2).float()
+        values = _finite(field.value(middle))
+        bound = steepest.at(middle, reach=side * grid.cell / 2)
+        clear = values.abs() / bound.clamp(min=torch.finfo(bound.dtype).tiny)
+        near = clear <= 0.5 * grid.cell * (last - first).float().norm(dim=1)
+        at_border = ((first == 0) | (last == cells)).any(dim=1)
+        if bool((out := ~near & at_border & (values < 0)).any()):
+            raise _leaves(field, middle[out][0])
+        # At the border every node is looked at, for the surface must not leave there.
+        return cls(index, side, values, torch.where(near & at_border, 0.0, clear), near)
+
+
+def _node_values(
+    field: Field, grid: Grid, blocks: _Blocks, steepest: _Steepest
+) -> tuple[Float[Tensor, "x y z"], Int8[Tensor, "x y z"]]:
+    """f at the nodes of the blocks that are near, and its sign there, which elsewhere is zero.
+
+    A node in the clear about the middle of a block has the sign of that middle, whose value stands for its own unless
+    the surface runs through one of its edges. This spares half of the evaluations.
+    """
+    count = int(np.prod(grid.nodes, dtype=np.int64))
+    values = torch.empty(count, dtype=torch.float32, device=field.device)
+    signs = torch.zeros(count, dtype=torch.int8, device=field.device)  # twice the sign where the value is its own
+    strides = torch.tensor([grid.nodes[1] * grid.nodes[2], grid.nodes[2], 1], device=field.device)
+    top = torch.tensor(grid.cells, device=field.device)
+
+    def evaluate(flat: Int[Tensor, " n"]) -> None:
+        index = torch.stack([flat // strides[0], flat // strides[1] % grid.nodes[1], flat % grid.nodes[2]], dim=1)
+        points = grid.place(index).float()
+        found = _finite(field.value(points))
+        if bool((out := ((index == 0) | (index == top)).any(dim=1) & (found < 0)).any()):
+            raise _leaves(field, points[out][0])
+        least = NUDGE * grid.cell / GRADIENT_SAFETY * steepest.at(points)
+        sign = 1 - 2 * (found < 0).to(torch.int8)
+        values[flat], signs[flat] = sign * found.abs().maximum(least), 2 * sign
+
+    nodes, unsettled = [], []
+    for index, value, clear in _clearest(blocks, grid):
+        flat = (index * strides).sum(dim=1)
+        values[flat], signs[flat] = value, 1 - 2 * (value < 0).to(torch.int8)
+        nodes.append(flat)
+        unsettled.append(flat[~clear])
+    evaluate(torch.cat(unsettled))
+    flat = torch.cat(nodes)
+    sign, ends = signs[flat], []
+    for stride in strides:
+        beside = (flat + stride).clamp(max=count - 1)
+        other = signs[beside]
+        crossed = sign * other < 0
+        ends += [flat[crossed & (sign.abs() == 1)], beside[crossed & (other.abs() == 1)]]
+    evaluate(torch.unique(torch.cat(ends)))
+    return values.view(grid.nodes), signs.view(grid.nodes)
+
+
+def _clearest(
+    blocks: _Blocks, grid: Grid
+) -> Iterator[tuple[Int[Tensor, "n 3"], Float[Tensor, " n"], Bool[Tensor, " n"]]]:
+    """The nodes of the blocks of two cells that are near, those of like parity together.
+
+    Of each node its index, f at the middle of that block about it which has most room, and whether the node lies in it.
+    """
+    # The blocks as dense arrays, with one of no room on each side.
+    extent = [-(-count // 2) + 2 for count in grid.cells]
+    here = tuple((blocks.index + 1).T)
+    near, clear, values = (blocks.values.new_zeros(extent, dtype=dtype) for dtype in (torch.bool, None, None))
+    near[here], clear[here], values[here] = blocks.near, blocks.clear, blocks.values
+    for odd in product((0, 1), repeat=3):
+        # Node 2 k + odd lies in block k, and where it is even on the border to block k - 1; in the arrays, k + 1 and k.
+        around = list(product(*[(1,) if o else (0, 1) for o in odd]))
+        sizes = [(count - o) // 2 + 1 for count, o in zip(grid.cells, odd)]
+        found = torch.zeros(sizes, dtype=torch.bool, device=near.device)
+        for corner in around:
+            found |= near[tuple(slice(first, first + size) for first, size in zip(corner, sizes))]
+        index = found.nonzero()
+        flat = (index * torch.tensor(near.stride(), device=near.device)).sum(dim=1)
+        places = torch.stack([flat + int(np.dot(corner, near.stride())) for corner in around])
+        room, which = clear.view(-1)[places].max(dim=0)
+        value = values.view(-1)[places.gather(0, which[None])[0]]
+        # From a middle to a node is one cell along each axis where the node is even.
+        yield 2 * index + torch.tensor(odd, device=near.device), value, room > grid.cell * (3 - sum(odd)) ** 0.5
+
+
+class _Steepest:
+    """A bound on |df/dx| near a point: the largest at the nodes of a coarse grid about it, with the safety factor.
+
+    Over a block the bound is that of all nodes in it and of the next ones: a truncated distance is level at the middle
+    of a large block, and steep where the surface runs through its rim.
+    """
+
+    nodes = 24
+
+    def __init__(self, field: Field) -> None:
+        lines = [torch.linspace(float(a), float(b), self.nodes, device=field.device) for a, b in field.bounds.T]
+        lengths = _finite(field.gradient(torch.cartesian_prod(*lines))).norm(dim=1).view(1, 1, *[self.nodes] * 3)
+        self._lengths = GRADIENT_SAFETY * lengths
+        self._bounds: dict[int, Tensor] = {}
+        self._lower = field.bounds[0]
+        self._step = (field.bounds[1] - field.bounds[0]) / (self.nodes - 1)
+        self._strides = torch.tensor([self.nodes**2, self.nodes, 1], device=field.device)
+
+    def at(self, points: Float[Tensor, "n 3"], reach: float = 0.0) -> Float[Tensor, " n"]:
+        """The bound in the cube that reaches so far from each point along each axis, a length."""
+        # The nearest node is half a step away at most; the cube ends so far beyond it, in the cell up to the next node.
+        around = min(self.nodes - 1, 1 + int(reach / float(self._step.min()) + 0.5 + 1e-6))
+        if around not in self._bounds:
+            pooled = self._lengths
+            for axis in range(3):  # one after the other, for a cube of many nodes has few along each axis
+                margin = [around if k == axis else 0 for k in range(3)]
+                pooled = torch.nn.functional.max_pool3d(pooled, [2 * m + 1 for m in margin], stride=1, padding=margin)
+            self._bounds[around] = pooled.view(-1)
+        index = ((points - self._lower) / self._step).round().long().clamp(0, self.nodes - 1)
+        return self._bounds[around][(index * self._strides).sum(dim=1)]
+
+
+# In the plane: all at once
+
+
+def _march_squares(field: Field, grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices in units of the grid, and segments with the inside on their left."""
+    index = torch.cartesian_prod(*[torch.arange(count, device=field.device) for count in grid.nodes])
+    values = _finite(field.value(grid.place(index).float()))
+    inside = values < 0
+    if not bool(inside.any()) or bool(inside.all()):
+        raise _no_surface(field, positive=not bool(inside.any()))
+    at_border = ((index == 0) | (index == torch.tensor(grid.cells, device=field.device))).any(dim=1)
+    if bool((out := inside & at_border).any()):
+        raise _leaves(field, grid.place(index[out][0]))
+    points: list[NDArray[np.float64]] = []
+    segments: list[NDArray[np.int64]] = []
+    start = 0
+    # find_contours walks with low values on the left; the contour closes, so its last point repeats the first.
+    for contour in find_contours(values.view(grid.nodes).double().cpu().numpy(), 0.0, positive_orientation="low"):
+        ring = contour[:-1]
+        number = np.arange(len(ring)) + start
+        points.append(ring)
+        segments.append(np.stack([number, np.roll(number, -1)], axis=1))
+        start += len(ring)
+    return np.concatenate(points), np.concatenate(segments).astype(np.int64)
+
+
+# What can be wrong
+
+
+def _finite(values: Tensor) -> Tensor:
+    if not bool(torch.isfinite(values).all()):
+        raise SurfaceError("The field is NaN or infinite inside its bounds. Mend its parameters, or shrink the bounds.")
+    return values
+
+
+def _no_surface(field: Field, *, positive: bool) -> SurfaceError:
+    return SurfaceError(
+        f"The field has no surface in its bounds {field.bounds.tolist()}: f {'>' if positive else '<'} 0 on the whole "
+        "grid. Check level and inside, widen the bounds, or raise the resolution."
+    )
+
+
+def _leaves(field: Field, point: Tensor) -> SurfaceError:
+    return SurfaceError(
+        f"The surface leaves the bounds {field.bounds.tolist()}: f < 0 at the border, near {point.tolist()}. Widen the "
+        "bounds, or refit the field so that it is positive there."
+    )

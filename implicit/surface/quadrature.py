@@ -1,0 +1,219 @@
+"""Points, normals and weights on the surface, so that an integral over it is a weighted sum.
+
+The quadrature replaces the marching-cubes triangles by six-node curved ones whose corners and mid-edge nodes
+all lie on f = 0, and integrates over each by a rule exact for polynomials of degree 4. Its error falls with
+the fourth power of the cell (measured on tori); flat triangles would give the second. In the plane the same
+is done with three-node curved segments.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from implicit.field.field import Field, SurfaceError, require_field
+from implicit.surface.extraction import marched_surface
+from implicit.surface.projection import newton_to_surface
+
+# Six-point rule of degree 4 on the triangle (Dunavant 1985): two orbits (1 - 2a, a, a) and their weights.
+_TRIANGLE_ORBITS = ((0.445948490915965, 0.223381589678011), (0.091576213509771, 0.109951743655322))
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceSample:
+    """Points on the surface with outward unit normals and quadrature weights.
+
+    sum(weights) is the area (the length, in the plane), and sum(weights * g(points)) the integral of g.
+    """
+
+    points: Float[Tensor, "n d"]
+    normals: Float[Tensor, "n d"]
+    weights: Float[Tensor, " n"]
+
+    def __post_init__(self) -> None:
+        if self.normals.shape != self.points.shape or self.weights.shape != self.points.shape[:1]:
+            raise ValueError(
+                f"normals and weights must fit the {len(self.points)} points, of shapes {tuple(self.points.shape)} and "
+                f"{tuple(self.points.shape[:1])}, but have {tuple(self.normals.shape)} and {tuple(self.weights.shape)}."
+            )
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> SurfaceSample:
+        """The same sample in another precision or on another device."""
+        parts = (self.points, self.normals, self.weights)
+        return SurfaceSample(*(part.to(dtype=dtype, device=device) for part in parts))
+
+    def integrate(self, density: Float[Tensor, " n"]) -> float:
+        """Integral over the surface of a density given at the points."""
+        return float(self.weights @ density)
+
+
+def require_sample(field: Field, sample: SurfaceSample) -> SurfaceSample:
+    """The sample as given, or a clear refusal of what is no sample of this field's surface."""
+    require_field(field)
+    if not isinstance(sample, SurfaceSample):
+        raise TypeError(
+            f"sample must be a SurfaceSample, but is a {type(sample).__name__}. Make one with surface_quadrature or "
+            "sample_surface."
+        )
+    field.require_points(sample.points, "sample.points")
+    return sample
+
+
+@dataclass(frozen=True, eq=False)
+class MeshedSample:
+    """A quadrature and the mesh whose cells it came from."""
+
+    sample: SurfaceSample
+    vertices: Float[Tensor, "v d"]  # on the surface
+    faces: Int[Tensor, "m d"]  # corners of the cells
+
+
+def surface_quadrature(field: Field, resolution: int = 64, *, exact_points: bool = False) -> SurfaceSample:
+    """A fourth-order quadrature of the surface.
+
+    Args:
+        field: In 3D, or in 2D for a curve.
+        resolution: Cells along the longest side of the bounds.
+        exact_points: Whether the points are moved from the curved cells to the surface, a way of third order in the
+            cell. Left on the cells, with the cells' normals, they cost a third and give volumes ten times better.
+
+    Returns:
+        Six points a triangle of the extracted mesh (three a segment in the plane).
+
+    Raises:
+        SurfaceError: There is no surface in the bounds, it leaves them, or the gradient vanishes on it.
+    """
+    sample = meshed_quadrature(field, resolution).sample
+    return placed(field, sample.points, sample.weights, 2 * field.size / resolution) if exact_points else sample
+
+
+def meshed_quadrature(field: Field, resolution: int) -> MeshedSample:
+    """As surface_quadrature, its points left on the cells, with the corners of the cells as a mesh."""
+    corners, cells = marched_surface(field, resolution)
+    nodes = _with_middle_nodes(field, corners, cells, 2 * field.size / resolution)
+    points, normals, weights = _curved_rule(nodes)
+    keep = weights > 0
+    return MeshedSample(SurfaceSample(points[keep], normals[keep], weights[keep]), corners, cells)
+
+
+def curved_cells(field: Field, resolution: int) -> Float[Tensor, "m k d"]:
+    """Nodes of quadratic cells on the surface: six of a triangle, or in the plane three of a segment."""
+    corners, cells = marched_surface(field, resolution)
+    return _with_middle_nodes(field, corners, cells, 2 * field.size / resolution)
+
+
+def cell_points(
+    nodes: Float[Tensor, "m k d"], at: Float[Tensor, "m t"]
+) -> tuple[Float[Tensor, "m d"], Float[Tensor, "m d"]]:
+    """One point in each quadratic cell, and the vector of its normal times the area (or length) it stands for.
+
+    Args:
+        nodes: As curved_cells gives them.
+        at: The last barycentric coordinates of each point: two in a triangle, one in a segment.
+    """
+    if nodes.shape[2] == 2:
+        shape, slopes = _segment_shapes(at[:, 0])
+    else:
+        shape, slopes = _triangle_shapes(1 - at.sum(dim=1), at[:, 0], at[:, 1])
+    points = torch.einsum("mk,mkd->md", shape, nodes)
+    tangents = torch.einsum("mkt,mkd->mtd", slopes, nodes)
+    return points, _across(tangents)
+
+
+def placed(field: Field, points: Float[Tensor, "n d"], weights: Float[Tensor, " n"], reach: float) -> SurfaceSample:
+    """The points moved the last bit to f = 0, with normals; the way is of higher order than the weights' error."""
+    points, arrived = newton_to_surface(field, points, reach=reach)
+    if not bool(arrived.all()):
+        lost = float(weights[~arrived].sum() / weights.sum())
+        if lost > 0.01:
+            raise SurfaceError(
+                f"{100 * lost:.1f} % of the surface could not be placed on f = 0. Refit the field, or raise resolution."
+            )
+        # Drop what cannot be placed and spread its share, at most a hundredth, over the rest.
+        points, weights = points[arrived], weights[arrived] / (1 - lost)
+    return SurfaceSample(points, field.normal(points), weights)
+
+
+def _with_middle_nodes(field: Field, corners: Tensor, cells: Tensor, reach: float) -> Tensor:
+    """Nodes of the curved cells (m, 6, 3): three corners, then the projected middles of edges 01, 12, 20."""
+    if field.dimension == 2:
+        start = corners[cells].mean(dim=1)
+        middle, arrived = newton_to_surface(field, start, reach=reach)
+        middle = torch.where(arrived[:, None], middle, start)
+        return torch.stack([corners[cells[:, 0]], corners[cells[:, 1]], middle], dim=1)
+    edges = torch.stack([cells, cells.roll(-1, dims=1)], dim=2).reshape(-1, 2)
+    # Both triangles at an edge must share its middle node, or the curved surface would tear.
+    code = edges.amin(dim=1) * len(corners) + edges.amax(dim=1)
+    unique, inverse = torch.unique(code, return_inverse=True)
+    ends = torch.stack([unique // len(corners), unique % len(corners)], dim=1)
+    start = corners[ends].mean(dim=1)
+    middle, arrived = newton_to_surface(field, start, reach=reach)
+    middle = torch.where(arrived[:, None], middle, start)
+    return torch.cat([corners[cells], middle[inverse].view(-1, 3, 3)], dim=1)
+
+
+def _curved_rule(nodes: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Quadrature points (m * q, D), unit normals and weights of quadratic cells given by their nodes."""
+    plane = nodes.shape[2] == 2
+    shape, slopes, weights = _segment_rule() if plane else _triangle_rule()
+    shape, slopes, weights = shape.to(nodes), slopes.to(nodes), weights.to(nodes)
+    points = torch.einsum("qk,mkd->mqd", shape, nodes)
+    across = _across(torch.einsum("qkt,mkd->mqtd", slopes, nodes))
+    content = across.norm(dim=-1)
+    normals = across / content.clamp(min=torch.finfo(content.dtype).tiny)[..., None]
+    return points.flatten(0, 1), normals.flatten(0, 1), (content * weights).flatten()
+
+
+def _across(tangents: Float[Tensor, "*n t d"]) -> Float[Tensor, "*n d"]:
+    """The outward vector square to the tangents, as long as the area or length that they span."""
+    if tangents.shape[-1] == 3:
+        return torch.linalg.cross(tangents[..., 0, :], tangents[..., 1, :])
+    # The inside is on the left, so outward is the tangent turned right.
+    return torch.stack([tangents[..., 0, 1], -tangents[..., 0, 0]], dim=-1)
+
+
+def _triangle_rule() -> tuple[Tensor, Tensor, Tensor]:
+    """Shape functions (q, 6), their slopes along the two sides (q, 6, 2), and weights (q,) summing to 1/2."""
+    barycentric, weights = [], []
+    for a, w in _TRIANGLE_ORBITS:
+        for corner in range(3):
+            point = [a, a, a]
+            point[corner] = 1 - 2 * a
+            barycentric.append(point)
+            weights.append(w / 2)
+    L0, L1, L2 = torch.tensor(barycentric, dtype=torch.float64).T
+    shape, slopes = _triangle_shapes(L0, L1, L2)
+    return shape, slopes, torch.tensor(weights, dtype=torch.float64)
+
+
+def _triangle_shapes(L0: Tensor, L1: Tensor, L2: Tensor) -> tuple[Tensor, Tensor]:
+    """The six quadratic shape functions and their slopes along sides 1 and 2, at barycentric coordinates."""
+    shape = torch.stack(
+        [L0 * (2 * L0 - 1), L1 * (2 * L1 - 1), L2 * (2 * L2 - 1), 4 * L0 * L1, 4 * L1 * L2, 4 * L2 * L0], dim=1
+    )
+    zero = torch.zeros_like(L0)
+    # Along side 1, L1 grows and L0 shrinks; along side 2, L2 grows and L0 shrinks.
+    first = torch.stack([1 - 4 * L0, 4 * L1 - 1, zero, 4 * (L0 - L1), 4 * L2, -4 * L2], dim=1)
+    second = torch.stack([1 - 4 * L0, zero, 4 * L2 - 1, -4 * L1, 4 * L1, 4 * (L0 - L2)], dim=1)
+    return shape, torch.stack([first, second], dim=2)
+
+
+def _segment_rule() -> tuple[Tensor, Tensor, Tensor]:
+    """Shape functions (3, 3) of start, end, middle, their slopes (3, 3, 1), and Gauss weights on [0, 1]."""
+    nodes, gauss = np.polynomial.legendre.leggauss(3)
+    shape, slopes = _segment_shapes(torch.from_numpy((nodes + 1) / 2))
+    return shape, slopes, torch.from_numpy(gauss / 2)
+
+
+def _segment_shapes(t: Tensor) -> tuple[Tensor, Tensor]:
+    """The three quadratic shape functions of a segment and their slopes, at t in [0, 1]."""
+    shape = torch.stack([(1 - t) * (1 - 2 * t), t * (2 * t - 1), 4 * t * (1 - t)], dim=1)
+    slopes = torch.stack([4 * t - 3, 4 * t - 1, 4 - 8 * t], dim=1)[:, :, None]
+    return shape, slopes

@@ -1,0 +1,91 @@
+"""How many pieces a surface has, and its Euler number: what an edit must not change unnoticed.
+
+    chi = vertices - edges + faces        2 for each sphere, less 2 for each handle; 0 for closed curves
+
+Conventions: components are those of the extracted mesh, so a piece smaller than a cell of the grid goes unseen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from implicit.field.field import Field
+from implicit.surface.extraction import Faces, Vertices, extract_mesh
+
+
+@dataclass(frozen=True)
+class Topology:
+    """The pieces of a surface.
+
+    Attributes:
+        components: How many there are.
+        euler: Vertices minus edges plus faces, of all pieces together.
+        areas: Of each piece (lengths, in the plane), the largest first.
+    """
+
+    components: int
+    euler: int
+    areas: tuple[float, ...]
+
+
+def surface_topology(field: Field, resolution: int = 48) -> Topology:
+    """The pieces of a field's surface.
+
+    Args:
+        resolution: Cells along the longest side of the bounds; pieces smaller than a cell go unseen.
+
+    Raises:
+        SurfaceError: There is no surface in the bounds, or it leaves them.
+    """
+    return mesh_topology(*extract_mesh(field, resolution))
+
+
+def settled_topology(
+    field: Field, mesh: tuple[Vertices, Faces], resolution: int, before: Topology | None = None
+) -> Topology:
+    """The pieces of a mesh of a field's surface; where they differ from those before, the word of finer meshes.
+
+    The edge of a sheet thinner than a cell shows as crumbs that come and go with the lattice: a bunny's ear, 0.01 thick
+    at its tip, has one or two at 48 and 96 cells and none at 192.
+
+    Args:
+        mesh: Vertices and faces at the resolution.
+        before: What the surface is likely to be; None takes the mesh at its word.
+    """
+    found = mesh_topology(*mesh)
+    for finer in (2 * resolution, 4 * resolution):
+        if before is None or (found.components, found.euler) == (before.components, before.euler):
+            break
+        found = surface_topology(field, finer)
+    return found
+
+
+def mesh_topology(V: Vertices, F: Faces) -> Topology:
+    """The pieces of a closed mesh: triangles (m, 3), or segments (m, 2) in the plane."""
+    V, F = np.asarray(V), np.asarray(F)
+    if V.ndim != 2 or V.dtype.kind not in "fiu":
+        raise ValueError(f"V must be an array of points (n, D), but has shape {V.shape} and type {V.dtype}.")
+    if F.ndim != 2 or F.shape[1] not in (2, 3) or F.dtype.kind not in "iu":
+        raise ValueError(f"F must be whole numbers (m, 3) or (m, 2), but has shape {F.shape} and type {F.dtype}.")
+    if len(F) == 0 or F.min() < 0 or F.max() >= len(V):
+        raise ValueError(f"F must name some of the {len(V)} rows of V, from 0 on, but does not.")
+    ends = F if F.shape[1] == 2 else np.concatenate([F[:, [0, 1]], F[:, [1, 2]], F[:, [2, 0]]])
+    code = np.unique(ends.min(axis=1) * len(V) + ends.max(axis=1))
+    edges = np.stack([code // len(V), code % len(V)], axis=1)
+    links = (np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1]))
+    count, label = csgraph.connected_components(sparse.coo_array(links, shape=(len(V), len(V))), directed=False)
+    areas = np.bincount(label[F[:, 0]], _contents(V, F), minlength=int(count))
+    faces = len(F) if F.shape[1] == 3 else 0
+    return Topology(int(count), len(V) - len(edges) + faces, tuple(float(a) for a in np.sort(areas)[::-1]))
+
+
+def _contents(V: Vertices, F: Faces) -> Vertices:
+    """Area of each triangle, or length of each segment."""
+    sides = V[F[:, 1:]] - V[F[:, :1]]
+    if F.shape[1] == 2:
+        return np.asarray(np.linalg.norm(sides[:, 0], axis=1))
+    return np.asarray(np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) / 2)
