@@ -15,7 +15,7 @@ import meshref
 from compare.fitting import bundle
 from compare.fitting.fit import FitReport, fit_mesh
 
-MESHES = Path(__file__).parents[3] / "shared" / "data" / "meshes"
+MESHES = Path(__file__).parents[4] / "shared" / "data" / "meshes"
 needs_meshes = pytest.mark.skipif(not MESHES.is_dir(), reason="the meshes of ../shared/data are not here")
 
 V, F = meshref.torus(96, 48, 0.6, 0.25)

@@ -11,7 +11,7 @@ from compare.paper import PARTS, Finding, Measured
 from compare.paper.findings import FILE, read_measured, write_measured
 from compare.paper.readme_table import main, section, with_section
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 RESULTS = ROOT / "docs" / "results.json"
 
 

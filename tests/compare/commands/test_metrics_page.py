@@ -7,7 +7,7 @@ import pytest
 
 from compare.runs.columns import COLUMNS
 
-PAGE = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs" / "metrics.md").read_text(encoding="utf-8")
 EXPLAINED = set(re.findall(r"`([^`\n]+)`", PAGE))
 
 # Words in code type that are no names of numbers: where numbers are kept, endings of names, and results of a test.
