@@ -87,25 +87,29 @@ TIMES = ("seconds", "seconds_solve", "seconds_start")
 
 def bits(value: Any, digest: Any) -> None:
     """Feed all numbers in a result to the hash, but not how long it took."""
-    if isinstance(value, torch.Tensor):
-        value = value.detach().numpy()
+    value = _plain(value)
     if isinstance(value, np.ndarray):
         digest.update(np.ascontiguousarray(value).tobytes())
-    elif isinstance(value, implicit.Field):
-        bits(value.theta, digest)
     elif isinstance(value, Mapping):
         for name in value:
             if name not in TIMES:
                 bits([name, value[name]], digest)
-    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
-        bits({part.name: getattr(value, part.name) for part in dataclasses.fields(value)}, digest)
-    elif hasattr(value, "_asdict"):
-        bits(value._asdict(), digest)
     elif isinstance(value, list | tuple):
         for part in value:
             bits(part, digest)
     elif isinstance(value, Enum) or not callable(value):
         digest.update(repr(value).encode())
+
+
+def _plain(value: Any) -> Any:
+    """Return a field or tensor as an array, and a record as a mapping of its parts."""
+    if isinstance(value, implicit.Field):
+        value = value.theta
+    if isinstance(value, torch.Tensor):
+        return value.detach().numpy()
+    if dataclasses.is_dataclass(value) and not isinstance(value, type | Mapping):
+        return {part.name: getattr(value, part.name) for part in dataclasses.fields(value)}
+    return value._asdict() if hasattr(value, "_asdict") else value
 
 
 def hash_of(run: Callable[[], object]) -> str:
