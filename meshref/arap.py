@@ -21,17 +21,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshref.check import (
-    MeshError,
     check_mesh,
     handle_vectors,
-    place,
+    require_handle_on_each_part,
     require_positive,
     require_whole,
     vertex_field,
     vertex_indices,
 )
 from meshref.curvature import corner_cotangents
-from meshref.topology import FloatArray, IntArray, vertex_components
+from meshref.measures import opposite_sides
+from meshref.topology import FloatArray, IntArray
 
 
 def arap(
@@ -112,7 +112,7 @@ class ArapSolver:
         begin = perf_counter()
         self._V, self._F = check_mesh(V, F)
         self.handle_vertices = vertex_indices(handle_vertices, len(self._V), "handle_vertices")
-        _require_handle_on_each_part(self._V, self._F, self.handle_vertices)
+        require_handle_on_each_part(self._V, self._F, self.handle_vertices)
         # libigl fits its rotations in single precision: coordinates of order 1 about the origin lose least.
         self._middle = self._V.mean(axis=0)
         self._size = float(np.linalg.norm(self._V.max(axis=0) - self._V.min(axis=0)))
@@ -276,8 +276,7 @@ def _nearest_rotations(S: FloatArray) -> FloatArray:
 
 def _energy(V: FloatArray, F: IntArray, U: FloatArray) -> float:
     half = corner_cotangents(V, F) / 2
-    at_rest = V[np.roll(F, -2, axis=1)] - V[np.roll(F, -1, axis=1)]
-    deformed = U[np.roll(F, -2, axis=1)] - U[np.roll(F, -1, axis=1)]
+    at_rest, deformed = opposite_sides(V, F), opposite_sides(U, F)
     covariance = np.einsum("fk,fkx,fky->fxy", half, deformed, at_rest).reshape(-1, 9)
     summed = [np.bincount(F.ravel(), weights=np.repeat(x, 3), minlength=len(V)) for x in covariance.T]
     R = _nearest_rotations(np.stack(summed, axis=1, dtype=np.float64).reshape(-1, 3, 3))
@@ -286,14 +285,3 @@ def _energy(V: FloatArray, F: IntArray, U: FloatArray) -> float:
         misfit = deformed - np.einsum("fxy,fky->fkx", R[F[:, corner]], at_rest)
         total += float(np.einsum("fk,fkx,fkx->", half, misfit, misfit))
     return total
-
-
-def _require_handle_on_each_part(V: FloatArray, F: IntArray, handles: IntArray) -> None:
-    parts, part = vertex_components(F, len(V))
-    without = np.setdiff1d(np.arange(parts), part[handles])
-    if without.size:
-        vertex = int(np.argmax(part == without[0]))
-        raise MeshError(
-            f"every connected part of the mesh needs a handle vertex, but {len(without)} of {parts} have none, first "
-            f"the part of vertex {vertex} at {place(V[vertex])}. Hold a vertex there, or drop the part with mend_mesh."
-        )

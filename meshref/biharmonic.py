@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from meshref.check import MeshError, check_mesh, handle_vectors, vertex_indices
+from meshref.check import check_mesh, handle_vectors, require_handle_on_each_part, vertex_indices
 from meshref.curvature import laplacian
 from meshref.factor import Solver, factorise
 from meshref.measures import lumped_areas
-from meshref.topology import FloatArray, vertex_components
+from meshref.topology import FloatArray
 
 
 class BiharmonicStatus(Enum):
@@ -58,14 +58,7 @@ def biharmonic(
     V, F = check_mesh(V, F)
     held = vertex_indices(handles, len(V))
     wanted = handle_vectors(displacements, held, "displacements")
-    parts, part = vertex_components(F, len(V))
-    without = np.setdiff1d(np.arange(parts), part[held])
-    if without.size:
-        vertex = int(np.flatnonzero(part == without[0])[0])
-        raise MeshError(
-            f"{without.size} of {parts} connected parts of the mesh hold no handle, the first round vertex {vertex}. "
-            "Hold at least one vertex of each, or leave that part out."
-        )
+    require_handle_on_each_part(V, F, held)
     L = laplacian(V, F)
     energy = sparse.csc_array(L @ sparse.diags_array(1 / lumped_areas(V, F)) @ L)
     d = np.zeros_like(V)

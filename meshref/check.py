@@ -15,7 +15,7 @@ import igl.predicates
 import numpy as np
 from numpy.typing import ArrayLike
 
-from meshref.topology import FloatArray, IntArray, corner_fans, disagreeing_pairs, edge_table
+from meshref.topology import FloatArray, IntArray, corner_fans, disagreeing_pairs, edge_table, vertex_components
 
 # libigl finds cotangents from edge lengths (Heron), which loses everything once the height of a triangle is
 # below the square root of the rounding unit times its longest edge: it then returns nan without a word.
@@ -167,6 +167,22 @@ def vertex_field(field: ArrayLike, V: FloatArray, name: str = "D") -> FloatArray
     if len(array) != len(V):
         raise MeshError(f"{name} must have a row for each of the {len(V)} vertices, but has {len(array)} rows.")
     return array
+
+
+def require_handle_on_each_part(V: FloatArray, F: IntArray, handles: IntArray) -> None:
+    """Refuse handles that leave a connected part of the mesh without any.
+
+    Raises:
+        MeshError: A part has no handle; the message names one of its vertices.
+    """
+    parts, part = vertex_components(F, len(V))
+    without = np.setdiff1d(np.arange(parts), part[handles])
+    if without.size:
+        vertex = int(np.argmax(part == without[0]))
+        raise MeshError(
+            f"every connected part of the mesh needs a handle vertex, but {len(without)} of {parts} have none, first "
+            f"the part of vertex {vertex} at {place(V[vertex])}. Hold a vertex there, or drop the part with mend_mesh."
+        )
 
 
 def intersecting_faces(V: FloatArray, F: IntArray) -> IntArray:

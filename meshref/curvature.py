@@ -16,7 +16,14 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from meshref.check import MeshError, check_mesh, require_choice
-from meshref.measures import doubled_area_vectors, lumped_areas, summed_normals
+from meshref.measures import (
+    doubled_area_vectors,
+    face_areas,
+    lumped_areas,
+    opposite_sides,
+    sides_at_corners,
+    summed_normals,
+)
 from meshref.topology import FloatArray, IntArray, edge_table
 
 Masses = Literal["voronoi", "barycentric"]
@@ -110,8 +117,7 @@ def corner_cotangents(V: FloatArray, F: IntArray) -> FloatArray:
     libigl goes through the edge lengths instead, which returns nan on needles with a height of 1e-9 of their
     length: that is where flows of pinched necks used to end.
     """
-    to_next = V[np.roll(F, -1, axis=1)] - V[F]
-    to_last = V[np.roll(F, 1, axis=1)] - V[F]
+    to_next, to_last = sides_at_corners(V, F)
     doubled_area = np.linalg.norm(doubled_area_vectors(V, F), axis=1, keepdims=True)
     return np.asarray((to_next * to_last).sum(axis=2) / doubled_area)
 
@@ -119,10 +125,10 @@ def corner_cotangents(V: FloatArray, F: IntArray) -> FloatArray:
 def voronoi_areas(V: FloatArray, F: IntArray) -> FloatArray:
     """Area nearest to each vertex, (n,), with obtuse triangles cut in a half and two quarters."""
     cot = corner_cotangents(V, F)
-    squared = ((V[np.roll(F, -1, axis=1)] - V[np.roll(F, -2, axis=1)]) ** 2).sum(axis=2)  # of the opposite side
+    squared = (opposite_sides(V, F) ** 2).sum(axis=2)
     part = squared * cot / 8  # each side gives this much to both of its ends
     voronoi = np.roll(part, -1, axis=1) + np.roll(part, -2, axis=1)
-    area = np.linalg.norm(doubled_area_vectors(V, F), axis=1, keepdims=True) / 2
+    area = face_areas(V, F)[:, None]
     obtuse = cot < 0
     of_corner = np.where(obtuse.any(axis=1, keepdims=True), np.where(obtuse, area / 2, area / 4), voronoi)
     return np.asarray(np.bincount(F.ravel(), weights=of_corner.ravel(), minlength=len(V)), dtype=np.float64)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshref.check import check_mesh, finite_points
-from meshref.measures import doubled_area_vectors, summed_normals
+from meshref.measures import doubled_area_vectors, summed_normals, unit_or_zero
 from meshref.topology import FloatArray, IntArray, edge_table
 
 # Nearer to the surface than this part of the mesh's size, point minus nearest point is mostly rounding.
@@ -76,9 +76,7 @@ class SignedDistanceQuery:
         normal = np.divide(away, distance[:, None], out=np.zeros_like(away), where=~on_surface[:, None])
         if on_surface.any():
             normal[on_surface] = self._surface_normals(face[on_surface], closest[on_surface])
-        length = np.linalg.norm(normal, axis=1, keepdims=True)
-        normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
-        return SignedDistance(sign * distance, closest + self._middle, face, normal)
+        return SignedDistance(sign * distance, closest + self._middle, face, unit_or_zero(normal))
 
     def distance(self, P: ArrayLike) -> tuple[FloatArray, IntArray]:
         """Unsigned distance (k,) and nearest face (k,) of points P, (k, 3): half the work of a full answer."""
@@ -120,9 +118,7 @@ class SignedDistanceQuery:
 
 
 def _feature_normals(V: FloatArray, F: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    doubled = doubled_area_vectors(V, F)
-    length = np.linalg.norm(doubled, axis=1, keepdims=True)
-    of_face = np.divide(doubled, length, out=np.zeros_like(doubled), where=length > 0)
+    of_face = unit_or_zero(doubled_area_vectors(V, F))
     table = edge_table(F, len(V))
     of_half_edge = np.repeat(of_face, 3, axis=0)
     k = len(table.edges)

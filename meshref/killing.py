@@ -46,7 +46,7 @@ from meshref.check import (
 )
 from meshref.curvature import corner_cotangents, laplacian
 from meshref.factor import Solver, factorise
-from meshref.measures import doubled_area_vectors, lumped_areas
+from meshref.measures import doubled_area_vectors, face_areas, lumped_areas, opposite_sides
 from meshref.metrics import handle_error
 from meshref.topology import FloatArray, IntArray, vertex_components
 
@@ -128,7 +128,7 @@ def killing_energy(V: ArrayLike, F: ArrayLike, D: ArrayLike, form: Form = "membr
         return float(_spokes_and_rims_energy(V, F, D))
     if form == "spokes":
         return float(_spokes_energy(V, F, D))
-    weights = np.ones(len(F)) if form == "notebook" else np.linalg.norm(doubled_area_vectors(V, F), axis=1) / 2
+    weights = np.ones(len(F)) if form == "notebook" else face_areas(V, F)
     J = displacement_gradients(V, F, D)
     return float(weights @ (_membrane_density(V, F, J) if form == "membrane" else _ambient_density(J)))
 
@@ -296,7 +296,7 @@ def hat_gradients(V: FloatArray, F: IntArray) -> FloatArray:
     """Gradient (m, 3, 3) of the linear function that is 1 at a corner and 0 at the others: n x (opposite side) / 2A."""
     doubled = doubled_area_vectors(V, F)
     scaled_normal = doubled / (doubled**2).sum(axis=1, keepdims=True)  # n / 2A
-    opposite = V[np.roll(F, -2, axis=1)] - V[np.roll(F, -1, axis=1)]
+    opposite = opposite_sides(V, F)
     return np.asarray(np.cross(scaled_normal[:, None, :], opposite))
 
 
@@ -339,7 +339,7 @@ def _strain_operator(V: FloatArray, F: IntArray, form: Form) -> tuple[sparse.csr
     pointer = np.arange(0, 9 * m * r + 1, 9)
     operator = sparse.csr_array((rows.reshape(-1), columns.reshape(-1), pointer), shape=(m * r, 3 * len(V)))
     twice = np.array([1.0 if a == b else 2.0 for a, b in pairs])  # an entry off the diagonal stands for two
-    area = np.ones(m) if form == "notebook" else np.linalg.norm(doubled_area_vectors(V, F), axis=1) / 2
+    area = np.ones(m) if form == "notebook" else face_areas(V, F)
     return operator, np.outer(area, twice).ravel()
 
 
@@ -376,7 +376,7 @@ def _cell_matrix(V: FloatArray, F: IntArray, form: Form) -> sparse.csc_array:
 
 def _rim_moments(V: FloatArray, F: IntArray) -> FloatArray:
     doubled = doubled_area_vectors(V, F)
-    area = np.linalg.norm(doubled, axis=1)[:, None, None] / 2
+    area = face_areas(V, F)[:, None, None]
     of_face = area * np.eye(3) + doubled[:, :, None] * doubled[:, None, :] / (4 * area)
     incidence = sparse.csr_array((np.ones(F.size), (F.ravel(), np.arange(F.size) // 3)), shape=(len(V), len(F)))
     return np.asarray(incidence @ of_face.reshape(-1, 9)).reshape(-1, 3, 3)
@@ -385,8 +385,7 @@ def _rim_moments(V: FloatArray, F: IntArray) -> FloatArray:
 def _rim_moment_arms(V: FloatArray, F: IntArray) -> list[sparse.csr_array]:
     """The x, y and z parts of U for spokes and rims: three (n, n) matrices that share one pattern."""
     half = corner_cotangents(V, F) / 2
-    # The edge e opposite to corner k runs from corner k + 1 to corner k + 2.
-    opposite = half[:, :, None] * (V[np.roll(F, -2, axis=1)] - V[np.roll(F, -1, axis=1)])  # c e
+    opposite = half[:, :, None] * opposite_sides(V, F)  # c e
     # Corner k ends the edge opposite to k+1 and starts the edge opposite to k+2: delta = d_end - d_start.
     arm = np.roll(opposite, -1, axis=1) - np.roll(opposite, -2, axis=1)
     cell = np.repeat(F, 3, axis=1).ravel()  # each face belongs to the cells of its three corners
@@ -436,8 +435,7 @@ def _symmetric_pseudo_inverse(A: FloatArray) -> FloatArray:
 
 def _spokes_and_rims_energy(V: FloatArray, F: IntArray, D: FloatArray) -> float:
     half = corner_cotangents(V, F) / 2
-    e = V[np.roll(F, -2, axis=1)] - V[np.roll(F, -1, axis=1)]
-    delta = D[np.roll(F, -2, axis=1)] - D[np.roll(F, -1, axis=1)]
+    e, delta = opposite_sides(V, F), opposite_sides(D, F)
     b_of_face = np.einsum("fk,fkx->fx", half, np.cross(e, delta))
     b = np.stack([np.bincount(F.ravel(), weights=np.repeat(x, 3), minlength=len(V)) for x in b_of_face.T], axis=1)
     w = np.linalg.solve(_rim_moments(V, F), b[:, :, None])[:, :, 0]

@@ -154,6 +154,25 @@ def doubled_area_vectors(V: FloatArray, F: IntArray) -> FloatArray:
     return np.asarray(np.cross(V[F[:, 1]] - V[F[:, 0]], V[F[:, 2]] - V[F[:, 0]]))
 
 
+def opposite_sides(V: FloatArray, F: IntArray) -> FloatArray:
+    """Return the side opposite to each corner, (m, 3, 3): from corner k + 1 to corner k + 2 of the face.
+
+    V may hold any vector for each vertex: of displacements, it is how much they differ along that side.
+    """
+    return np.asarray(V[np.roll(F, -2, axis=1)] - V[np.roll(F, -1, axis=1)])
+
+
+def sides_at_corners(V: FloatArray, F: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return the sides from each corner to the next and to the last corner of its face, twice (m, 3, 3)."""
+    return V[np.roll(F, -1, axis=1)] - V[F], V[np.roll(F, 1, axis=1)] - V[F]
+
+
+def unit_or_zero(vectors: FloatArray) -> FloatArray:
+    """Return vectors (k, 3) at length 1; those of length 0 stay so."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
+
+
 def lumped_areas(V: FloatArray, F: IntArray) -> FloatArray:
     """What vertex_areas returns, for a mesh that has been checked."""
     thirds = np.repeat(face_areas(V, F) / 3, 3)
@@ -177,8 +196,7 @@ def solid_centroid(V: FloatArray, F: IntArray) -> FloatArray:
 
 def corner_angles(V: FloatArray, F: IntArray) -> FloatArray:
     """Angle of each face at each corner, (m, 3), in radians."""
-    to_next = V[np.roll(F, -1, axis=1)] - V[F]
-    to_last = V[np.roll(F, 1, axis=1)] - V[F]
+    to_next, to_last = sides_at_corners(V, F)
     sine = np.linalg.norm(np.cross(to_next, to_last), axis=2)
     return np.asarray(np.arctan2(sine, (to_next * to_last).sum(axis=2)))
 
@@ -188,8 +206,7 @@ def summed_normals(V: FloatArray, F: IntArray, weighting: Literal["angle", "area
     doubled = doubled_area_vectors(V, F)
     if weighting == "area":
         return scatter_to_vertices(F, np.repeat(doubled / 2, 3, axis=0), len(V))
-    length = np.linalg.norm(doubled, axis=1, keepdims=True)
-    unit = np.divide(doubled, length, out=np.zeros_like(doubled), where=length > 0)
+    unit = unit_or_zero(doubled)
     return scatter_to_vertices(F, (corner_angles(V, F)[:, :, None] * unit[:, None, :]).reshape(-1, 3), len(V))
 
 

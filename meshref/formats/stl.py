@@ -6,6 +6,7 @@ import numpy as np
 
 from meshref.check import MeshError, place
 from meshref.formats.text import DamageError, lines_of, numbers
+from meshref.measures import doubled_area_vectors, unit_or_zero
 from meshref.topology import FloatArray, IntArray
 
 ROW = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -46,7 +47,5 @@ def written(V: FloatArray, F: IntArray) -> bytes:
         raise MeshError(f"the point {place(far)} is too far away for the single precision of .stl. Write .ply instead.")
     rows = np.zeros(len(F), dtype=ROW)
     rows["corners"] = V[F]
-    normal = np.cross(V[F[:, 1]] - V[F[:, 0]], V[F[:, 2]] - V[F[:, 0]])
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    rows["normal"] = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
+    rows["normal"] = unit_or_zero(doubled_area_vectors(V, F))
     return b"written by meshref".ljust(80) + len(F).to_bytes(4, "little") + rows.tobytes()
