@@ -31,6 +31,7 @@ from meshref.check import (
 )
 from meshref.curvature import corner_cotangents
 from meshref.measures import opposite_sides
+from meshref.printing import brief
 from meshref.topology import FloatArray, IntArray
 
 
@@ -91,6 +92,8 @@ class ArapResult:
     iterations: int
     status: ArapStatus
     seconds: Mapping[str, float]  # "factorisation", "start", "iterations"; the energies of the history not counted
+
+    __repr__ = brief
 
 
 class ArapSolver:

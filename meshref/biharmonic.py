@@ -19,6 +19,7 @@ from meshref.check import check_mesh, handle_vectors, require_handle_on_each_par
 from meshref.curvature import laplacian
 from meshref.factor import Solver, factorise
 from meshref.measures import lumped_areas
+from meshref.printing import brief
 from meshref.topology import FloatArray
 
 
@@ -38,6 +39,8 @@ class BiharmonicResult:
     residual: float  # of the equations, relative to the sizes of their terms
     solver: str  # the library that did it
     status: BiharmonicStatus
+
+    __repr__ = brief
 
 
 def biharmonic(

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from meshref.check import check_mesh, finite_points
 from meshref.measures import doubled_area_vectors, summed_normals, unit_or_zero
+from meshref.printing import brief
 from meshref.topology import FloatArray, IntArray, edge_table
 
 # Nearer to the surface than this part of the mesh's size, point minus nearest point is mostly rounding.
@@ -28,6 +29,9 @@ class SignedDistance(NamedTuple):
     closest: FloatArray  # (k, 3), nearest point of the surface
     face: IntArray  # (k,), the face it lies on
     normal: FloatArray  # (k, 3), unit gradient of the distance; on the surface, the normal of the surface
+
+    def __repr__(self) -> str:
+        return brief(self)
 
 
 def signed_distance(V: ArrayLike, F: ArrayLike, P: ArrayLike) -> SignedDistance:

@@ -28,6 +28,7 @@ from meshref.check import check_mesh, require_choice, require_positive, require_
 from meshref.curvature import laplacian, require_cotangents, voronoi_areas
 from meshref.factor import NotPositiveDefiniteError, Solver, factorise
 from meshref.measures import face_areas, solid_centroid, sphericity_of, volume_gradient
+from meshref.printing import brief
 from meshref.topology import FloatArray, IntArray
 
 Method = Literal["conformalised", "semi-implicit", "explicit"]
@@ -71,6 +72,8 @@ class FlowResult:
     status: FlowStatus
     steps_taken: int
     snapshots: tuple[FloatArray, ...]  # vertices (n, 3) at the start and after every snapshot_every steps, if asked for
+
+    __repr__ = brief
 
 
 def mean_curvature_flow(

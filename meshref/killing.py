@@ -48,6 +48,7 @@ from meshref.curvature import corner_cotangents, laplacian
 from meshref.factor import Solver, factorise
 from meshref.measures import doubled_area_vectors, face_areas, lumped_areas, opposite_sides
 from meshref.metrics import handle_error
+from meshref.printing import brief
 from meshref.topology import FloatArray, IntArray, vertex_components
 
 Form = Literal["membrane", "spokes-and-rims", "spokes", "ambient", "notebook"]
@@ -107,6 +108,8 @@ class KillingResult:
     status: KillingStatus
     solver: str  # the library that factorised
     seconds: Mapping[str, float]  # "assembly", "factorisation", "solve"
+
+    __repr__ = brief
 
 
 def killing_energy(V: ArrayLike, F: ArrayLike, D: ArrayLike, form: Form = "membrane") -> float:

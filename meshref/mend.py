@@ -6,7 +6,7 @@ a vertex, choose bodies, orient neighbours alike, close holes, turn faces outwar
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import igl
@@ -53,7 +53,7 @@ class MendReport:
     """What mend_mesh did, as sentences and as numbers."""
 
     steps: tuple[str, ...]  # plain sentences, in order; empty if the mesh was fine
-    vertex_map: IntArray = field(repr=False)  # (n,), new number of each vertex given, -1 where it was dropped
+    vertex_map: IntArray  # (n,), new number of each vertex given, -1 where it was dropped
     merged_vertices: int = 0
     dropped_vertices: int = 0  # unreferenced, or of dropped bodies
     dropped_faces: int = 0  # without area, doubled, or of dropped bodies
@@ -64,6 +64,11 @@ class MendReport:
     bodies: int = 1  # connected solids in the result
     cavities: int = 0  # surfaces inside a body, oriented towards its inside
     self_intersections: int = 0  # pairs of faces that pass through each other; they are not mended
+
+    def __repr__(self) -> str:
+        bodies = f"{self.bodies} {'body' if self.bodies == 1 else 'bodies'}"
+        lines = [f"MendReport({bodies}, {len(self.vertex_map)} vertices given, changed={self.changed})", *self.steps]
+        return "\n  ".join(lines)
 
     @property
     def changed(self) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshref.check import MeshError, check_mesh, require_positive, require_whole
+from meshref.printing import brief
 from meshref.topology import FloatArray, IntArray
 
 
@@ -23,6 +24,9 @@ class MeshlabDistance(NamedTuple):
     max_2_to_1: float
     mean_1_to_2: float
     mean_2_to_1: float
+
+    def __repr__(self) -> str:
+        return brief(self)
 
     @property
     def hausdorff(self) -> float:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from meshref.check import MeshError, check_mesh, finite_points, require_whole, vertex_indices
 from meshref.distance import SignedDistanceQuery
 from meshref.measures import doubled_area_vectors, face_areas
+from meshref.printing import brief
 from meshref.topology import FloatArray, IntArray
 
 
@@ -25,6 +26,9 @@ class MeshSample(NamedTuple):
     points: FloatArray  # (k, 3)
     face: IntArray  # (k,), the face of each
     normals: FloatArray  # (k, 3), the unit normal of that face
+
+    def __repr__(self) -> str:
+        return brief(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +41,8 @@ class SurfaceDistance:
     max_1_to_2: float  # largest distance from points and vertices of surface 1 to surface 2
     max_2_to_1: float
     normal_consistency: float  # mean cosine between the normals at a point and at its nearest point, both ways
+
+    __repr__ = brief
 
     @property
     def chamfer(self) -> float:
