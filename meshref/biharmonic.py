@@ -24,7 +24,7 @@ from meshref.topology import FloatArray
 
 
 class BiharmonicStatus(Enum):
-    """How a solve ended; the value is the sentence a user reads."""
+    """End of a solve; the value is the sentence a user reads."""
 
     SOLVED = "The smoothest displacement that agrees with the handles was found."
     INACCURATE = "The mesh is too ill-shaped for the solver: the displacement is off by more than rounding."
@@ -32,7 +32,7 @@ class BiharmonicStatus(Enum):
 
 @dataclass(frozen=True, eq=False)
 class BiharmonicResult:
-    """A displacement of all vertices and how good it is."""
+    """A displacement of all vertices, its energy, and the residual of the equations."""
 
     displacement: FloatArray  # (n, 3), in the units of V
     energy: float  # the integral of |Lap d|^2, a pure number

@@ -72,7 +72,7 @@ def killing(
     handle_weights: ArrayLike | None = None,
     solver: Solver = "auto",
 ) -> KillingResult:
-    """The displacement field closest to a rigid motion that moves the handle vertices as told.
+    """Return the displacement field closest to a rigid motion that moves the handle vertices as told.
 
     Args:
         V: Vertices, (n, 3).
@@ -91,7 +91,7 @@ def killing(
 
 
 class KillingStatus(Enum):
-    """How a solve ended."""
+    """End of a solve; the value is the sentence a user reads."""
 
     SOLVED = "The displacement minimises the energy."
     INACCURATE = "The linear system is so ill-conditioned that its solution has a large residual; do not trust it."
@@ -99,7 +99,7 @@ class KillingStatus(Enum):
 
 @dataclass(frozen=True, eq=False)
 class KillingResult:
-    """A displacement field and how well it does what was asked."""
+    """A displacement field, its energy, the error at the handles, and the residual."""
 
     displacement: FloatArray  # (n, 3), add to V
     energy: float  # in the form that was minimised, squared length
@@ -113,7 +113,9 @@ class KillingResult:
 
 
 def killing_energy(V: ArrayLike, F: ArrayLike, D: ArrayLike, form: Form = "membrane") -> float:
-    """Killing energy of a displacement field, a squared length: 0 for a rigid motion, 32 pi for d = n on a unit sphere.
+    """Return the Killing energy of a displacement field, a squared length.
+
+    It is 0 for a rigid motion, and 32 pi for d = n on a unit sphere.
 
     Args:
         V: Vertices, (n, 3).
@@ -139,7 +141,9 @@ def killing_energy(V: ArrayLike, F: ArrayLike, D: ArrayLike, form: Form = "membr
 def killing_energy_density(
     V: ArrayLike, F: ArrayLike, D: ArrayLike, form: Literal["membrane", "ambient"] = "membrane"
 ) -> FloatArray:
-    """Killing energy per area of each face, (m,), a pure number: its sum weighted by the faces' areas is the energy.
+    """Return the Killing energy per area of each face, (m,), a pure number.
+
+    Its sum weighted by the faces' areas is the energy.
 
     Args:
         V: Vertices, (n, 3).
@@ -234,7 +238,7 @@ class KillingSolver:
         self.seconds = MappingProxyType({"assembly": assembled - start, "factorisation": perf_counter() - assembled})
 
     def solve(self, displacements: ArrayLike) -> FloatArray:
-        """Displacement of every vertex, (n, 3), for displacements of the handle vertices, (h, 3)."""
+        """Return the displacement of every vertex, (n, 3), for displacements of the handle vertices, (h, 3)."""
         return self.run(displacements).displacement
 
     def run(self, displacements: ArrayLike) -> KillingResult:
@@ -283,7 +287,7 @@ def require_rigid_handles(V: FloatArray, F: IntArray, handles: IntArray) -> None
 
 
 def energy_matrix(V: FloatArray, F: IntArray, form: Form) -> sparse.csc_array:
-    """The matrix Q, (3n, 3n), with d.ravel() @ Q @ d.ravel() the energy of d (n, 3), for a checked mesh."""
+    """Return the matrix Q, (3n, 3n), with d.ravel() @ Q @ d.ravel() the energy of d (n, 3), for a checked mesh."""
     if form in ("spokes", "spokes-and-rims"):
         return _cell_matrix(V, F, form)
     operator, weights = _strain_operator(V, F, form)
@@ -291,12 +295,15 @@ def energy_matrix(V: FloatArray, F: IntArray, form: Form) -> sparse.csc_array:
 
 
 def displacement_gradients(V: FloatArray, F: IntArray, D: FloatArray) -> FloatArray:
-    """Gradient J (m, 3, 3) of the piecewise linear field: J[f, x, y] = d(d_x)/dy, zero along the normal."""
+    """Return the gradient J (m, 3, 3) of the piecewise linear field: J[f, x, y] = d(d_x)/dy, zero along the normal."""
     return np.asarray(np.einsum("fkx,fky->fxy", D[F], hat_gradients(V, F)))
 
 
 def hat_gradients(V: FloatArray, F: IntArray) -> FloatArray:
-    """Gradient (m, 3, 3) of the linear function that is 1 at a corner and 0 at the others: n x (opposite side) / 2A."""
+    """Return the gradient of the linear function that is 1 at a corner and 0 at the others, (m, 3, 3).
+
+    It is n x (opposite side) / 2A.
+    """
     doubled = doubled_area_vectors(V, F)
     scaled_normal = doubled / (doubled**2).sum(axis=1, keepdims=True)  # n / 2A
     opposite = opposite_sides(V, F)
@@ -314,7 +321,7 @@ def _ambient_density(J: FloatArray) -> FloatArray:
 
 
 def _tangents(V: FloatArray, F: IntArray) -> FloatArray:
-    """Two orthonormal vectors in the plane of each face, (m, 2, 3)."""
+    """Return two orthonormal vectors in the plane of each face, (m, 2, 3)."""
     side = V[F[:, 1]] - V[F[:, 0]]
     first = side / np.linalg.norm(side, axis=1, keepdims=True)
     normal = doubled_area_vectors(V, F)
@@ -323,7 +330,7 @@ def _tangents(V: FloatArray, F: IntArray) -> FloatArray:
 
 
 def _strain_operator(V: FloatArray, F: IntArray, form: Form) -> tuple[sparse.csr_array, FloatArray]:
-    """Rows of J + J^T of every face, in its plane or in space, and the weight of each row's square."""
+    """Return the rows of J + J^T of every face, in its plane or in space, and the weight of each row's square."""
     G = hat_gradients(V, F)
     m, axes = len(F), np.eye(3)
     if form == "membrane":
@@ -386,7 +393,7 @@ def _rim_moments(V: FloatArray, F: IntArray) -> FloatArray:
 
 
 def _rim_moment_arms(V: FloatArray, F: IntArray) -> list[sparse.csr_array]:
-    """The x, y and z parts of U for spokes and rims: three (n, n) matrices that share one pattern."""
+    """Return the x, y and z parts of U for spokes and rims: three (n, n) matrices that share one pattern."""
     half = corner_cotangents(V, F) / 2
     opposite = half[:, :, None] * opposite_sides(V, F)  # c e
     # Corner k ends the edge opposite to k+1 and starts the edge opposite to k+2: delta = d_end - d_start.
@@ -418,7 +425,7 @@ def _alike(entries: list[tuple[FloatArray, IntArray, IntArray]], n: int) -> list
 
 
 def cross_matrices(u: FloatArray) -> FloatArray:
-    """The matrices (k, 3, 3) that take d to u x d."""
+    """Return the matrices (k, 3, 3) that take d to u x d."""
     zero = np.zeros(len(u))
     x, y, z = u.T
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)

@@ -50,7 +50,7 @@ LONGEST_FILLED_LOOP = 600
 
 @dataclass(frozen=True, eq=False)
 class MendReport:
-    """What mend_mesh did, as sentences and as numbers."""
+    """Changes that mend_mesh made, as sentences and as numbers."""
 
     steps: tuple[str, ...]  # plain sentences, in order; empty if the mesh was fine
     vertex_map: IntArray  # (n,), new number of each vertex given, -1 where it was dropped
@@ -72,7 +72,7 @@ class MendReport:
 
     @property
     def changed(self) -> bool:
-        """Whether the result differs from what was given."""
+        """True if the result differs from the mesh that was given."""
         dropped = self.dropped_vertices + self.dropped_faces
         return bool(self.merged_vertices + dropped + self.split_vertices + self.turned_faces + len(self.holes))
 
@@ -221,7 +221,7 @@ class _Weld(NamedTuple):
 
 
 def _weld(V: FloatArray, F: IntArray, distance: float) -> tuple[_Weld, int]:
-    """Merge close vertices and remove what this leaves of faces; also the number of vertices that are left apart.
+    """Merge close vertices and remove what this leaves of faces; return how many vertices are left apart as well.
 
     Where a closed surface touches itself along an edge, merging would make that edge one of four faces. Such
     vertices were never torn from each other, so if it comes to that, only vertices on open edges are merged.
@@ -370,7 +370,10 @@ def _choose_bodies(
 
 
 def _containment(V: FloatArray, F: IntArray, parts: int, part: IntArray) -> BoolArray:
-    """Entry [a, b] says whether part a lies inside part b, (parts, parts); boxes first, then the winding number."""
+    """Return a matrix (parts, parts) whose entry [a, b] is True if part a lies inside part b.
+
+    Boxes are compared first, then the winding number is taken.
+    """
     face_part = part[F[:, 0]]
     lower, upper = np.full((parts, 3), np.inf), np.full((parts, 3), -np.inf)
     np.minimum.at(lower, part, V)
@@ -412,7 +415,7 @@ def _close_holes(V: FloatArray, F: IntArray, limit: float, *, closed: bool) -> t
 
 
 def _fill(V: FloatArray, loop: IntArray, existing: set[tuple[int, int]]) -> IntArray:
-    """Triangles over a closed loop of vertices, of least area, with no new vertex and no edge that exists already.
+    """Return triangles over a closed loop of vertices, of least area, with no new vertex and no edge there is already.
 
     best[i, j] is the cheapest triangulation of the polygon i..j, by splitting off the triangle i, k, j.
     Source: Barequet and Sharir, "Filling gaps in the boundary of a polyhedron", 1995.

@@ -35,7 +35,7 @@ class MeshlabDistance(NamedTuple):
 
 
 def laplacian_smooth(V: ArrayLike, F: ArrayLike, steps: int = 3) -> FloatArray:
-    """Vertices (n, 3) after moving each to the mean of its neighbours, steps times. Shrinks.
+    """Return vertices (n, 3) after moving each to the mean of its neighbours, steps times. Shrinks.
 
     Raises:
         MeshError: check_mesh refuses the mesh, or pymeshlab is missing or fails.
@@ -47,7 +47,7 @@ def laplacian_smooth(V: ArrayLike, F: ArrayLike, steps: int = 3) -> FloatArray:
 
 
 def taubin_smooth(V: ArrayLike, F: ArrayLike, steps: int = 10, shrink: float = 0.5, grow: float = -0.53) -> FloatArray:
-    """Vertices (n, 3) after steps of smoothing by shrink and un-smoothing by grow, which nearly keeps the volume.
+    """Return vertices (n, 3) after steps of smoothing by shrink and un-smoothing by grow; the volume nearly stays.
 
     Source: Taubin, "A signal processing approach to fair surface design", 1995.
 
@@ -66,7 +66,7 @@ def taubin_smooth(V: ArrayLike, F: ArrayLike, steps: int = 10, shrink: float = 0
 def isotropic_remesh(
     V: ArrayLike, F: ArrayLike, edge_length: float, iterations: int = 10
 ) -> tuple[FloatArray, IntArray]:
-    """A mesh of the same surface whose edges are all about as long as told.
+    """Return a mesh of the same surface whose edges are all about as long as told.
 
     Args:
         V: Vertices, (n, 3).
@@ -86,7 +86,7 @@ def isotropic_remesh(
 
 
 def hausdorff_distance(V1: ArrayLike, F1: ArrayLike, V2: ArrayLike, F2: ArrayLike, n: int = 20_000) -> MeshlabDistance:
-    """MeshLab's sampled distance, both ways: its own filter goes one way only, and from the vertices by default.
+    """Return MeshLab's sampled distance, both ways: its filter goes one way only, and from the vertices by default.
 
     Args:
         V1, F1: Vertices (n1, 3) and faces (m1, 3) of the first surface.

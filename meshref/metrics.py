@@ -33,7 +33,7 @@ class MeshSample(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SurfaceDistance:
-    """How far surface 1 and surface 2 are from each other; lengths in the unit of V."""
+    """Distances between surface 1 and surface 2; lengths in the unit of V."""
 
     mean_1_to_2: float  # mean distance from points of surface 1 to surface 2
     mean_2_to_1: float
@@ -58,7 +58,7 @@ class SurfaceDistance:
 def surface_distance(
     V1: ArrayLike, F1: ArrayLike, V2: ArrayLike, F2: ArrayLike, n: int = 20_000, seed: int = 0
 ) -> SurfaceDistance:
-    """All distances between two surfaces at once, from n random points on each.
+    """Return all distances between two surfaces at once, from n random points on each.
 
     Args:
         V1, F1: Vertices (n1, 3) and faces (m1, 3) of the first surface, open or closed.
@@ -82,24 +82,24 @@ def surface_distance(
 
 
 def chamfer(V1: ArrayLike, F1: ArrayLike, V2: ArrayLike, F2: ArrayLike, n: int = 20_000, seed: int = 0) -> float:
-    """Mean distance between two surfaces (not squared), the mean of both ways; see surface_distance."""
+    """Return the mean distance between two surfaces (not squared), the mean of both ways; see surface_distance."""
     return surface_distance(V1, F1, V2, F2, n, seed).chamfer
 
 
 def hausdorff(V1: ArrayLike, F1: ArrayLike, V2: ArrayLike, F2: ArrayLike, n: int = 20_000, seed: int = 0) -> float:
-    """Largest distance between two surfaces over samples and vertices, both ways; see surface_distance."""
+    """Return the largest distance between two surfaces over samples and vertices, both ways; see surface_distance."""
     return surface_distance(V1, F1, V2, F2, n, seed).hausdorff
 
 
 def normal_consistency(
     V1: ArrayLike, F1: ArrayLike, V2: ArrayLike, F2: ArrayLike, n: int = 20_000, seed: int = 0
 ) -> float:
-    """Mean cosine between the normals of two surfaces at nearest points, 1 where they agree; see surface_distance."""
+    """Return the mean cosine of the normals of two surfaces at nearest points, 1 if they agree; see surface_distance."""
     return surface_distance(V1, F1, V2, F2, n, seed).normal_consistency
 
 
 def iou(V1: ArrayLike, F1: ArrayLike, V2: ArrayLike, F2: ArrayLike, n: int = 100_000, seed: int = 0) -> float:
-    """Volume of the intersection over that of the union of two solids, from n random points in their common box.
+    """Return the volume of intersection over union of two solids, from n random points in their common box.
 
     Args:
         V1, F1: Vertices (n1, 3) and faces (m1, 3) of the first, oriented outwards; small holes do no harm.
@@ -152,7 +152,7 @@ def sample_mesh(V: ArrayLike, F: ArrayLike, n: int, seed: int = 0) -> MeshSample
 
 
 def handle_error(displacement: ArrayLike, handles: ArrayLike, wanted: ArrayLike) -> float:
-    """Largest distance by which a handle vertex misses its wanted displacement, in the unit of V.
+    """Return the largest distance by which a handle vertex misses its wanted displacement, in the unit of V.
 
     Args:
         displacement: Displacement of every vertex, (n, 3).

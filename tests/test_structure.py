@@ -3,6 +3,7 @@
 import ast
 import importlib.util
 import sys
+import tomllib
 from collections import Counter
 from pathlib import Path
 
@@ -82,6 +83,18 @@ def test_no_import_runs_upwards(package):
     level = {f"{package}/{name}": place for place, name in enumerate(ORDER[package])}
     assert set(rooms.nodes) == set(level)
     assert [f"{a} imports {b}" for a, b in sorted(rooms.arrows) if level[a] < level[b]] == []
+
+
+def test_every_file_that_is_no_module_is_package_data():
+    """So that a wheel has all that the packages read: types, shapes, trained families, studies, the report's page."""
+    patterns = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
+    packed = set()
+    for package, globs in patterns.items():
+        folders = [ROOT / package.replace(".", "/")] if package != "*" else [ROOT / name for name in structure.PACKAGES]
+        packed |= {path for folder in folders for pattern in globs for path in folder.glob(pattern)}
+    there = [path for name in structure.PACKAGES for path in (ROOT / name).rglob("*.*")]
+    assert {path for path in there if path.suffix not in (".py", ".pyc")} == packed
+    assert {ROOT / name / "py.typed" for name in structure.PACKAGES} <= packed
 
 
 def functions():

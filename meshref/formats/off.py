@@ -56,6 +56,6 @@ def _polygon(words: list[str], line: int) -> list[int]:
 
 
 def written(V: FloatArray, F: IntArray) -> bytes:
-    """The content of a file, whose coordinates come back to the last bit."""
+    """Return the content of a file, whose coordinates come back to the last bit."""
     corners = [f"3 {a} {b} {c}" for a, b, c in F.tolist()]
     return "\n".join(["OFF", f"{len(V)} {len(F)} 0", *exact(V), *corners, ""]).encode()

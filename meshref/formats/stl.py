@@ -13,7 +13,7 @@ ROW = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute
 
 
 def read(content: bytes) -> tuple[FloatArray, IntArray]:
-    """Vertices, one for all equal corners, and triangles of a file's content."""
+    """Return vertices, one for all equal corners, and triangles of a file's content."""
     count = int.from_bytes(content[80:84], "little")
     # The length decides: binary files beginning with the word "solid" are common.
     if len(content) >= 84 and len(content) == 84 + count * ROW.itemsize:
@@ -31,7 +31,7 @@ def read(content: bytes) -> tuple[FloatArray, IntArray]:
 
 
 def merge_equal(V: FloatArray, F: IntArray) -> tuple[FloatArray, IntArray]:
-    """One vertex for all that have equal coordinates, in the order of their first appearance."""
+    """Return one vertex for all that have equal coordinates, in the order of their first appearance."""
     _, first, of_vertex = np.unique(V + 0.0, axis=0, return_index=True, return_inverse=True)  # -0 becomes 0
     order = np.argsort(first)
     rank = np.empty_like(order)
@@ -40,7 +40,7 @@ def merge_equal(V: FloatArray, F: IntArray) -> tuple[FloatArray, IntArray]:
 
 
 def written(V: FloatArray, F: IntArray) -> bytes:
-    """The content of a binary file."""
+    """Return the content of a binary file."""
     largest = np.abs(V).max()
     if largest > np.finfo(np.float32).max:
         far = V[np.abs(V).max(axis=1).argmax()]
