@@ -94,7 +94,7 @@ def hausdorff(V1: ArrayLike, F1: ArrayLike, V2: ArrayLike, F2: ArrayLike, n: int
 def normal_consistency(
     V1: ArrayLike, F1: ArrayLike, V2: ArrayLike, F2: ArrayLike, n: int = 20_000, seed: int = 0
 ) -> float:
-    """Return the mean cosine of the normals of two surfaces at nearest points, 1 if they agree; see surface_distance."""
+    """Return the mean cosine of the normals of two surfaces at nearest points, 1 if alike; see surface_distance."""
     return surface_distance(V1, F1, V2, F2, n, seed).normal_consistency
 
 
