@@ -1,4 +1,4 @@
-"""How far a displacement field is from a rigid motion: energies, and the field that has the least of it.
+"""Energies of a displacement field by its distance from a rigid motion, and the field that has the least of them.
 
     E(d) = integral over the surface of | P (J + J^T) P |_F^2,     J = grad d,  P = I - n n^T           ("membrane")
 

@@ -1,4 +1,4 @@
-"""How far two surfaces are from each other: distances, normals, overlap.
+"""Measures between two surfaces: distances, normals, overlap.
 
 Distances run from sampled points of one surface to the exact nearest point on the triangles of the other, both ways.
 The vertices are among the samples of the largest distance: it is then a lower bound that misses only what lies between

@@ -1,4 +1,4 @@
-"""Which faces meet where: half-edges, edges, fans of faces, boundary loops and connected parts.
+"""Connections of the faces: half-edges, edges, fans of faces, boundary loops and connected parts.
 
 Half-edge h = 3 f + c runs from corner c of face f to its corner c + 1 (modulo 3), so the three arrays
 "half-edge", "corner" and "entry of F.ravel()" share one numbering. Nothing here looks at coordinates,

@@ -23,15 +23,15 @@ FORBIDDEN = {
     "meshref": {"torch", "implicit", "compare"},
 }
 
-# From the ground up: no import runs to a later line. implicit/data holds files and no code.
+# The wings, from the ground up: no import runs to one that comes later. What is new in a package takes its place here.
 ORDER = {
     "implicit": [
-        "arguments", "files", "data", "field", "models", "shapes", "surface", "sensitivity", "step", "evolve", "edits",
-        "fitting", "families", "__init__",
+        "arguments", "renamed", "files", "data", "field", "models", "shapes", "surface", "sensitivity", "step", "evolve",
+        "edits", "fitting", "families", "__init__",
     ],
     "compare": [
-        "errors", "files", "cases", "fitting", "runs", "reports", "studies", "paper", "commands", "__init__",
-        "__main__",
+        "errors", "files", "cases", "operations", "fitting", "runs", "reports", "studies", "paper", "commands",
+        "__init__", "__main__",
     ],
 }  # fmt: skip
 
@@ -80,9 +80,14 @@ def test_no_import_runs_in_a_circle(package):
 @pytest.mark.parametrize("package", ORDER)
 def test_no_import_runs_upwards(package):
     rooms = structure.room_graph(structure.file_graph(FILES, package))
-    level = {f"{package}/{name}": place for place, name in enumerate(ORDER[package])}
-    assert set(rooms.nodes) == set(level)
-    assert [f"{a} imports {b}" for a, b in sorted(rooms.arrows) if level[a] < level[b]] == []
+    level = {name: place for place, name in enumerate(ORDER[package])}
+    assert {wing(room) for room in rooms.nodes} <= set(level)
+    assert [f"{a} imports {b}" for a, b in sorted(rooms.arrows) if level[wing(a)] < level[wing(b)]] == []
+
+
+def wing(room):
+    """Return "step" for "implicit/step" and for "implicit/step/factors" within it."""
+    return room.split("/")[1]
 
 
 def test_every_file_that_is_no_module_is_package_data():

@@ -1,4 +1,4 @@
-"""What the readers share: words of a text by lines, numbers among them, and polygons as triangles."""
+"""Parts that the readers share: words of a text by lines, numbers among them, and polygons as triangles."""
 
 from __future__ import annotations
 
