@@ -60,6 +60,10 @@ class AutoDecoder:
         points, distances = self.samples.draw(self._each, generator)
         return _loss(self.decoder, self.codes, points, distances, PULL)
 
+    def reported(self, loss: Tensor) -> float:
+        """Return the loss as it is."""
+        return float(loss)
+
     def latents(self) -> Float[Tensor, "s l"]:
         """The codes of the training shapes."""
         return self.codes.detach()

@@ -74,6 +74,10 @@ class AutoEncoder:
         values = self.decoder(SCALE * points.flatten(0, 1), codes)
         return (values - (0.5 - distances.flatten() / RAMP).clamp(0, 1)).square().mean()
 
+    def reported(self, loss: Tensor) -> float:
+        """Return the loss as it is."""
+        return float(loss)
+
     def latents(self) -> Float[Tensor, "s l"]:
         """The codes of the training shapes."""
         return encode(self.encoder, self.grids)

@@ -15,13 +15,14 @@ from implicit.families.autoencoder import AutoEncoder, encode, voxels
 from implicit.families.family import Family
 from implicit.families.model import FAMILIES, FamilyModel
 from implicit.families.samples import draw_samples
-from implicit.families.training import Learner, Schedule, Tell, TrainingRun
+from implicit.fitting.training import Checkpoint, FitStatus, Schedule, Tell, TrainingRun
 from implicit.models.checkpoints import Architecture
 from implicit.models.deepsdf import DeepSdf
 from implicit.models.dualsdf import DualSdf
 from implicit.models.imnet import ImNet, ImNetEncoder
 from implicit.models.weight_norm import with_weight_norm
 
+FORMAT = "implicit-family-training-1"
 SAMPLES = 8000  # of each training shape
 VALIDATION_SEED = 1_000_003  # of the shapes that are scored, far from the seeds that users give
 SPHERES = 48
@@ -77,8 +78,13 @@ def train_family(
     learner = _learner(kind, architecture, parameters, latent, width, batch, seed, device, generator)
     schedule = _schedule(architecture, steps)
     settings = json.dumps([family, architecture, shapes, latent, width, steps, batch, seed, str(device)])
-    run = TrainingRun(learner, generator, schedule, None if checkpoint is None else Path(checkpoint), settings)
-    run.train(progress)
+    file = None if checkpoint is None else Checkpoint(Path(checkpoint), FORMAT, settings)
+    run = TrainingRun(learner, generator, schedule, file)
+    if run.train(progress) is FitStatus.DIVERGED:
+        raise FloatingPointError(
+            f"The loss or a weight is not finite at step {run.step}. Train again with another seed, "
+            "and to a checkpoint of its own."
+        )
     model = _model(kind, learner, parameters)
     scores = reconstruction_scores(model, kind.draw(validation, VALIDATION_SEED))
     model.report.update(
@@ -147,7 +153,7 @@ def _learner(
     seed: int,
     device: torch.device | str,
     generator: torch.Generator,
-) -> Learner:
+) -> AutoEncoder | AutoDecoder:
     samples = draw_samples(family, parameters, SAMPLES, seed).to(device)
     with torch.random.fork_rng(devices=[]):  # torch's layers draw their first weights from the global generator
         torch.manual_seed(seed)
@@ -170,7 +176,7 @@ def _schedule(architecture: str, steps: int) -> Schedule:
     return Schedule(steps, 3e-3, 1e-3 if architecture == "imnet" else 1e-2)
 
 
-def _model(family: Family, learner: Learner, parameters: Tensor) -> FamilyModel:
+def _model(family: Family, learner: AutoEncoder | AutoDecoder, parameters: Tensor) -> FamilyModel:
     """The trained networks as they are published: under weight norm where that is part of the architecture."""
     modules = learner.modules()
     trained = modules["decoder"].cpu()
