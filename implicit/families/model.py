@@ -27,10 +27,10 @@ FORMAT = "implicit-family-1"
 
 @dataclass(frozen=True, eq=False)
 class FamilyModel:
-    """What was learned of a family.
+    """A trained generative model of a family.
 
     Attributes:
-        family: Of the shapes.
+        family: The family of the shapes.
         decoder: Code and point to value, by its published architecture.
         latents: A code for each training shape.
         parameters: The exact parameters of each training shape.
@@ -51,11 +51,11 @@ class FamilyModel:
         return float(self.decoder.bounds[1][0])
 
     def field(self, code: Float[Tensor, " l"]) -> Field:
-        """The shape of a code, its units those of the family."""
+        """Return the shape of a code (L,) as a field, its units those of the family."""
         return decoder_field(self.decoder, code, units=Units(1 / self.scale))
 
     def nearest(self, parameters: Float[Tensor, " p"]) -> int:
-        """The training shape whose parameters, each relative to its range, are nearest."""
+        """Return the index of the training shape whose parameters, each relative to its range, are nearest."""
         lower, upper = self.parameters.new_tensor(list(self.family.ranges.values())).T
         return int(((self.parameters - parameters.to(lower)) / (upper - lower)).square().sum(dim=1).argmin())
 
@@ -64,7 +64,9 @@ def save_model(model: FamilyModel, path: str | PathLike[str], *, dtype: torch.dt
     """Write a model as safetensors; its decoder and codes can be read by `load_checkpoint` too.
 
     Args:
-        dtype: Of the weights and codes in the file. float16 halves it, and moves surfaces by some 1e-4.
+        model: The model.
+        path: The file; one that is there is replaced.
+        dtype: Precision of the weights and codes in the file. float16 halves it, and moves surfaces by some 1e-4.
     """
     from safetensors.torch import save
 

@@ -52,11 +52,11 @@ def train_family(
         shapes: Shapes to learn.
         latent: Numbers in a code.
         width: Units in the hidden layers; of IM-NET, in its widest.
-        steps: Of the training.
+        steps: Steps of the training.
         batch: Points a step.
         validation: Further shapes, whose reconstruction is scored.
-        seed: Of the shapes, the samples, the first weights and the batches. The same seed gives the same bits on the
-            same machine with the same number of threads.
+        seed: Seed of the shapes, the samples, the first weights and the batches. The same seed gives the same bits on
+            the same machine with the same number of threads.
         device: Where to train; the model comes back on the CPU.
         checkpoint: A file to keep the state in; if it is there already, the training goes on from it.
         progress: Called as progress(step, steps, loss) up to 100 times.
@@ -105,14 +105,15 @@ def train_family(
 def reconstruction_scores(
     model: FamilyModel, parameters: Float[Tensor, "s p"], *, resolution: int = 64, seed: int = 0
 ) -> Float[Tensor, " s"]:
-    """Intersection over union of each shape with what the model makes of it, on the cells of [-1, 1]^3.
+    """Return the intersection over union of each shape with what the model makes of it, on the cells of [-1, 1]^3.
 
     An auto-decoder finds the code of a shape from 4000 distances, an auto-encoder from its voxels.
 
     Args:
-        parameters: Of the shapes.
+        model: The model.
+        parameters: Parameters of the shapes, a row each.
         resolution: Cells along the cube.
-        seed: Of the distances.
+        seed: Seed of the points whose distances are given.
     """
     codes = reconstruct(model, parameters, seed=seed)
     inside = voxels(model.family, parameters, resolution).flatten(1) > 0.5
@@ -126,7 +127,7 @@ def reconstruction_scores(
 
 
 def reconstruct(model: FamilyModel, parameters: Float[Tensor, "s p"], *, seed: int = 0) -> Float[Tensor, "s l"]:
-    """Codes of shapes that the model need not have learned."""
+    """Return codes (S, L) of shapes that the model need not have learned."""
     if model.encoder is not None:
         return encode(model.encoder, voxels(model.family, parameters, model.encoder.resolution))
     assert not isinstance(model.decoder, ImNet)
@@ -135,7 +136,7 @@ def reconstruct(model: FamilyModel, parameters: Float[Tensor, "s p"], *, seed: i
 
 
 def summary(scores: Float[Tensor, " s"]) -> dict[str, float]:
-    """Of reconstruction scores: how many, their mean and the least."""
+    """Return the number of reconstruction scores, their mean and the least."""
     return {
         "shapes": len(scores),
         "mean_iou": round(float(scores.mean()), 4),
@@ -177,7 +178,7 @@ def _schedule(architecture: str, steps: int) -> Schedule:
 
 
 def _model(family: Family, learner: AutoEncoder | AutoDecoder, parameters: Tensor) -> FamilyModel:
-    """The trained networks as they are published: under weight norm where that is part of the architecture."""
+    """Return the trained networks as they are published: under weight norm where that is part of the architecture."""
     modules = learner.modules()
     trained = modules["decoder"].cpu()
     encoder = modules.get("encoder")

@@ -47,7 +47,7 @@ NEAR_PART = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Training:
-    """How a fit went."""
+    """Course and accuracy of a fit."""
 
     steps: int
     seconds: float
@@ -94,9 +94,9 @@ def fit_field(
         width: Units in each hidden layer.
         depth: Hidden layers.
         activation: "sine" makes a Siren, "softplus" or "relu" an Mlp.
-        first_frequency: Of a Siren: about how many half waves cross the bounds in the first layer at the start. Siren
+        first_frequency: Half waves of a Siren that cross the bounds in the first layer at the start, about. Siren
             says how 12 was chosen; raise it for fine detail, and check that no stray pieces come.
-        frequency: Of a Siren: factor in the later layers.
+        frequency: Factor of a Siren in the later layers.
         steps: Steps to take. With the same seed, data and number of threads they give the same bits.
         seconds: Stop after this time even if steps are left; the schedule then follows the time where it is ahead, so
             the result depends on the speed of the machine.
@@ -106,15 +106,15 @@ def fit_field(
         band: Distance up to which gradients are compared and errors count fully, a length. None takes 1 % of the
             longest side of the bounds.
         bounds: A box that holds the surface; the default is [-1, 1]^D.
-        units: How the field's coordinates relate to the user's; kept in the field.
-        seed: Of the first weights and of the batches.
+        units: Change from the field's coordinates to the user's; kept in the field. None is no change.
+        seed: Seed of the first weights and of the batches.
         dtype: Precision of the network and the training.
         progress: Called as progress(step, steps, loss) up to 100 times.
         checkpoint: A file to write the state of the training to, twenty times on the way and at the end. If it is
             there already, the training goes on from it, and ends with the same bits as one that was never interrupted.
 
     Returns:
-        The field, and how the training went.
+        The field, and the course of the training.
 
     Raises:
         ValueError: The samples do not fit each other, are not finite, lie all on one side of the surface or all away
@@ -227,7 +227,7 @@ class _Samples:
         self.weights = band / (band + distances.abs())
 
     def loss(self, module: nn.Module, batch: int, generator: torch.Generator) -> Tensor:
-        """The loss of the head of this file, over a fresh batch."""
+        """Return the loss at the head of this file, over a fresh batch."""
         near = max(1, int(batch * NEAR_PART))
         i = torch.randint(len(self.points), (batch - near,), generator=generator).to(self.points.device)
         j = torch.randint(len(self.near_points), (near,), generator=generator).to(self.points.device)
@@ -239,14 +239,14 @@ class _Samples:
         return errors.square().mean() + self.band**2 * turns.mean()
 
     def errors(self, module: nn.Module) -> tuple[float, float]:
-        """Mean |f - d| and mean angle in degrees over the samples within the band."""
+        """Return the mean |f - d| and the mean angle in degrees over the samples within the band."""
         field = Field(module, bounds=_unit_box(self.points.shape[1]))
         values, gradients = field.value_and_gradient(self.near_points)
         cosine = nn.functional.cosine_similarity(gradients, self.near_normals, dim=1).clamp(-1, 1)
         return float((values - self.near_distances).abs().mean()), float(torch.rad2deg(cosine.acos()).mean())
 
     def fingerprint(self) -> str:
-        """What the samples are, in few letters."""
+        """Return a hash of the samples."""
         digest = hashlib.sha256()
         for part in (self.points, self.distances, self.near_normals):
             digest.update(part.detach().cpu().contiguous().numpy().tobytes())

@@ -15,7 +15,7 @@ from implicit.models.registry import build, register
 
 
 class Shape(nn.Module):
-    """Points (N, D) to values (N,), negative inside; all tensors are parameters."""
+    """Module from points (N, D) to values (N,), negative inside; all tensors are parameters."""
 
     name: str
 
@@ -25,16 +25,16 @@ class Shape(nn.Module):
             self.register_parameter(name, nn.Parameter(torch.as_tensor(value, dtype=dtype)))
 
     def options(self) -> dict[str, Any]:
-        """Arguments of the constructor that are not parameters."""
+        """Return the arguments of the constructor that are not parameters."""
         return {}
 
     def describe(self) -> dict[str, Any]:
-        """How to make this shape again."""
+        """Return the name and the arguments that make this shape again."""
         own = {name: value.tolist() for name, value in self.named_parameters(recurse=False)}
         return {"name": self.name, "arguments": own | self.options()}
 
     def extent(self) -> Float[Tensor, "2 d"]:
-        """Corners of a box that holds the shape."""
+        """Return the corners of a box that holds the shape."""
         raise NotImplementedError
 
 
@@ -258,7 +258,7 @@ class Combination(Shape):
         self.blend = float(blend)
 
     def values(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n k"]:
-        """f of each part."""
+        """Return f of each part."""
         return torch.stack([part(points) for part in self.parts], dim=1)
 
     def options(self) -> dict[str, Any]:
@@ -266,7 +266,7 @@ class Combination(Shape):
         return {"parts": [part.describe() for part in parts], "blend": self.blend}
 
     def extents(self) -> Float[Tensor, "k 2 d"]:
-        """Boxes of the parts."""
+        """Return the boxes of the parts."""
         parts: list[Shape] = list(self.parts)  # type: ignore[arg-type]
         return torch.stack([part.extent() for part in parts])
 
@@ -320,7 +320,7 @@ SHAPES: tuple[type[Shape], ...] = (
 
 
 def _length(vectors: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
-    """|v|, with derivative 0 and not NaN where v = 0."""
+    """Return |v|, with derivative 0 and not NaN where v = 0."""
     return vectors.square().sum(dim=1).clamp(min=1e-30).sqrt()
 
 
