@@ -78,6 +78,16 @@ def require_tensor(name: str, value: Any, shape: Sequence[int], device: torch.de
         raise ValueError(f"{name} must be finite, but holds NaN or infinite numbers. Mend or leave out what made them.")
 
 
+def kind_of(tensor: Tensor) -> str:
+    """Return the precision and the device of a tensor in a few letters, such as "float32, cpu"."""
+    return f"{str(tensor.dtype).removeprefix('torch.')}, {tensor.device}"
+
+
+def counted(number: int, thing: str) -> str:
+    """Return a number with its noun, such as "1 point" or "2,273 points"."""
+    return f"{number:,} {thing}" if number == 1 else f"{number:,} {thing}s"
+
+
 def _number(value: Any) -> float:
     """Return the value as a number; NaN, which fits no limits, where it is none."""
     if isinstance(value, str | bool):

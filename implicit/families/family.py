@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from implicit.arguments import counted
 from implicit.field.field import Field
 
 Shape = Callable[[Mapping[str, Tensor], Tensor, Tensor, Tensor], Tensor]
@@ -27,6 +28,9 @@ class Family:
     name: str
     ranges: Mapping[str, tuple[float, float]]
     shape: Shape
+
+    def __repr__(self) -> str:
+        return f"Family: {self.name}, {counted(len(self.ranges), 'parameter')} ({', '.join(self.ranges)})"
 
     @property
     def parameters(self) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from implicit.arguments import counted, kind_of
 from implicit.families.airplanes import AIRPLANES
 from implicit.families.chairs import CHAIRS
 from implicit.families.family import Family
@@ -44,6 +45,15 @@ class FamilyModel:
     parameters: Float[Tensor, "s p"]
     encoder: ImNetEncoder | None = None
     report: dict[str, Any] = default(default_factory=dict)
+
+    def __repr__(self) -> str:
+        codes, numbers = self.latents.shape
+        score = self.report.get("validation", {}).get("mean_iou")
+        return (
+            f"FamilyModel: {self.family.name} by {type(self.decoder).__name__}, {counted(codes, 'code')} of "
+            f"{counted(numbers, 'number')} ({kind_of(self.latents)})"
+            + ("" if score is None else f", mean IoU {score:.3g} on shapes it has not seen")
+        )
 
     @property
     def scale(self) -> float:

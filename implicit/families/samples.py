@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from implicit.arguments import counted, kind_of
 from implicit.families.family import Family
 
 # Standard deviations of the points about the surface, in the family's units: a third each, with a third in the whole
@@ -21,6 +22,10 @@ class Samples:
 
     points: Float[Tensor, "s n 3"]
     distances: Float[Tensor, "s n"]
+
+    def __repr__(self) -> str:
+        shapes, points = self.distances.shape
+        return f"Samples: {counted(points, 'point')} for each of {counted(shapes, 'shape')} ({kind_of(self.points)})"
 
     def draw(self, count: int, generator: torch.Generator) -> tuple[Float[Tensor, "s k 3"], Float[Tensor, "s k"]]:
         """Return so many of each shape's points at random, with repetition."""

@@ -9,13 +9,14 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import Literal
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from implicit.arguments import require_choice, require_finite, require_numbers, require_positive
+from implicit.arguments import kind_of, require_choice, require_finite, require_numbers, require_positive
 from implicit.field.evaluator import Parameter, Parametrisation, parametrised
 
 Bounds = tuple[Sequence[float], Sequence[float]]
@@ -129,6 +130,30 @@ class Field:
         if not isinstance(values, Tensor) or values.numel() != 3 or not values.is_floating_point():
             came = f"{tuple(values.shape)}, {values.dtype}" if isinstance(values, Tensor) else type(values).__name__
             raise TypeError(f"The module must map 3 points to 3 real values, but gave {came}. Wrap it so that it does.")
+
+    def __repr__(self) -> str:
+        return f"Field: {'; '.join(text for _, text in self._facts())}"
+
+    def _repr_html_(self) -> str:
+        """Return a small table for notebooks."""
+        rows = "".join(f"<tr><th>{name}</th><td>{escape(text)}</td></tr>" for name, text in self._facts())
+        return f"<table><caption>Field</caption>{rows}</table>"
+
+    def _facts(self) -> list[tuple[str, str]]:
+        """Return what a reader asks first of a field: a name and a text for each row of the table."""
+        function = "a function" if self.module is None else type(self.module).__name__
+        scale, offset = self.units.scale, [round(x, 6) for x in self.units.offset]
+        corners = " to ".join(str([round(x, 6) for x in corner]) for corner in self.bounds.tolist())
+        facts = [
+            ("function", f"{function} of {self.dimension} coordinates"),
+            ("theta", f"P = {len(self.theta):,} {'(a code)' if self.takes_code else ''}".rstrip()),
+            ("numbers", kind_of(self.theta)),
+            ("inside", f"{'below' if self.inside == 'negative' else 'above'} the level {self.level:g}"),
+            ("bounds", corners),
+        ]
+        if scale != 1 or any(offset):
+            facts.append(("units", f"{scale:.6g} x + {offset}"))
+        return facts
 
     # What it is
 

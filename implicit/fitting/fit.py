@@ -33,7 +33,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from implicit.arguments import require_choice, require_numbers, require_positive, require_whole
+from implicit.arguments import counted, require_choice, require_numbers, require_positive, require_whole
 from implicit.field.field import CUBE, Bounds, Field, Units
 from implicit.files import as_path
 from implicit.fitting.training import Checkpoint, FitStatus, Progress, Schedule, TrainingRun
@@ -56,6 +56,13 @@ class Training:
     normal_error: float  # mean angle between df/dx and n over the same samples, in degrees
     band: float
     status: FitStatus
+
+    def __repr__(self) -> str:
+        return (
+            f"Training: {self.status.name} after {counted(self.steps, 'step')}, {self.seconds:.1f} s\n"
+            f"  mean |f - d| {self.value_error:.3g}, normals off by {self.normal_error:.3g} degrees, "
+            f"within the band of {self.band:.3g}"
+        )
 
 
 def fit_field(

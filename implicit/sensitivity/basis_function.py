@@ -35,6 +35,9 @@ class BasisFunction:
     name: str
     index: int
 
+    def __repr__(self) -> str:
+        return f"BasisFunction: {self.name}, theta[{self.index}] of P = {len(self.field.theta):,}"
+
     def __call__(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
         """Return the length per unit of the parameter at surface points (N, D), without making the other columns."""
         unit = torch.zeros_like(self.field.theta)

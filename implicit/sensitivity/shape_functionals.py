@@ -52,6 +52,15 @@ class Functional(ABC):
             require_finite("target", self.target)
         require_choice("bound", self.bound, get_args(Bound))
 
+    def __repr__(self) -> str:
+        default = [] if self.target is None else [f"target={self.target:g}"]
+        held = [*default, *([] if self.bound == "equal" else [f"bound={self.bound!r}"])]
+        return f"{type(self).__name__}({', '.join([*self._arguments(), *held])})"
+
+    def _arguments(self) -> list[str]:
+        """Return the arguments that tell one functional of this kind from another, as in its repr."""
+        return []
+
     @property
     def name(self) -> str:
         """Name of the functional in records."""
@@ -71,7 +80,7 @@ class Functional(ABC):
         return adjoint(field, sample.points, sample.weights * self.shape_gradient(field, sample))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Volume(Functional):
     """Volume inside the surface (area inside the curve, in the plane), by the divergence theorem.
 
@@ -90,7 +99,7 @@ class Volume(Functional):
         return torch.ones_like(sample.weights)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Area(Functional):
     """Area of the surface (length of the curve, in the plane).
 
@@ -109,7 +118,7 @@ class Area(Functional):
         return field.mean_curvature(sample.points)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class VolumeIntegral(Functional):
     """Integral of a density over the inside.
 
@@ -130,6 +139,9 @@ class VolumeIntegral(Functional):
         require_callable("h", self.h, "a function from points (N, D) to values (N,)")
         require_whole("nodes", self.nodes)
 
+    def _arguments(self) -> list[str]:
+        return [_name_of(self.h)]
+
     def value(self, field: Field, sample: SurfaceSample) -> float:
         require_sample(field, sample)
         # The field F(x) = (x - c) int_0^1 t^(D-1) h(c + t (x - c)) dt has div F = h, so int h = int F . n.
@@ -147,7 +159,7 @@ class VolumeIntegral(Functional):
         return _density(self.h, sample.points, "h")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SurfaceIntegral(Functional):
     """Integral of a density over the surface.
 
@@ -163,6 +175,9 @@ class SurfaceIntegral(Functional):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_callable("g", self.g, "a function from points (N, D) to values (N,)")
+
+    def _arguments(self) -> list[str]:
+        return [_name_of(self.g)]
 
     def value(self, field: Field, sample: SurfaceSample) -> float:
         off = _Distance.of(field, sample)
@@ -247,6 +262,10 @@ def volume_terms(sample: SurfaceSample) -> Float[Tensor, " n"]:
     """Return each point's share x . n / D of the volume, about the centroid so that distant shapes lose no digits."""
     center = (sample.weights @ sample.points) / sample.weights.sum()
     return sample.weights * ((sample.points - center) * sample.normals).sum(dim=1) / sample.points.shape[1]
+
+
+def _name_of(function: Density) -> str:
+    return str(getattr(function, "__name__", type(function).__name__))
 
 
 def _density(function: Density, points: Tensor, name: str) -> Tensor:

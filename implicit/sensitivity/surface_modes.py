@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from implicit.arguments import require_tensor, require_whole
+from implicit.arguments import counted, kind_of, require_tensor, require_whole
 from implicit.field.field import Field
 from implicit.sensitivity.boundary_sensitivity import basis
 from implicit.surface.projection import newton_to_surface
@@ -35,6 +35,14 @@ class SurfaceModes:
     directions: Float[Tensor, "p k"]
     strengths: Float[Tensor, " k"]
     motions: Float[Tensor, "n k"]
+
+    def __repr__(self) -> str:
+        largest = ", ".join(f"{float(strength):.3g}" for strength in self.strengths[:3])
+        return (
+            f"SurfaceModes: {counted(len(self.strengths), 'direction')} of P = {len(self.directions):,} on "
+            f"{counted(len(self.motions), 'point')}, strengths {largest}{', ...' if len(self.strengths) > 3 else ''} "
+            f"({kind_of(self.directions)})"
+        )
 
 
 def surface_modes(field: Field, sample: SurfaceSample, count: int = 8) -> SurfaceModes:

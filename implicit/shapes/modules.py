@@ -24,6 +24,12 @@ class Shape(nn.Module):
             require_numbers(name, value, "a number, or one for each coordinate")
             self.register_parameter(name, nn.Parameter(torch.as_tensor(value, dtype=dtype)))
 
+    def __repr__(self) -> str:
+        own = {name: _rounded(value) for name, value in self.named_parameters(recurse=False)}
+        return (
+            f"{type(self).__name__}({', '.join(f'{name}={value}' for name, value in (own | self.options()).items())})"
+        )
+
     def options(self) -> dict[str, Any]:
         """Return the arguments of the constructor that are not parameters."""
         return {}
@@ -257,6 +263,10 @@ class Combination(Shape):
         self.parts = nn.ModuleList(build(part) if isinstance(part, dict) else part for part in parts)
         self.blend = float(blend)
 
+    def __repr__(self) -> str:
+        kinds = list(dict.fromkeys(type(part).__name__ for part in self.parts))
+        return f"{type(self).__name__}({len(self.parts)} bodies: {', '.join(kinds)}; blend={self.blend:g})"
+
     def values(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n k"]:
         """Return f of each part."""
         return torch.stack([part(points) for part in self.parts], dim=1)
@@ -317,6 +327,12 @@ SHAPES: tuple[type[Shape], ...] = (
     SmoothIntersection,
     SmoothDifference,
 )
+
+
+def _rounded(value: Tensor) -> float | list[float]:
+    """Return the numbers of a parameter to six digits, as text shows them."""
+    digits = [float(f"{number:.6g}") for number in value.detach().reshape(-1).tolist()]
+    return digits[0] if value.ndim == 0 else digits
 
 
 def _length(vectors: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:

@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from implicit.arguments import counted, kind_of
 from implicit.field.field import Field, SurfaceError, require_field
 from implicit.surface.extraction import marched_surface
 from implicit.surface.projection import newton_to_surface
@@ -52,6 +53,12 @@ class SurfaceSample:
     def __len__(self) -> int:
         return len(self.points)
 
+    def __repr__(self) -> str:
+        n, dimension = self.points.shape
+        content = "area" if dimension == 3 else "length"
+        sum_of_weights = f"{content} {float(self.weights.sum()):.6g}"
+        return f"SurfaceSample: {counted(n, 'point')} in {dimension}D, {sum_of_weights} ({kind_of(self.points)})"
+
     def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> SurfaceSample:
         """Return the same sample in another precision or on another device."""
         parts = (self.points, self.normals, self.weights)
@@ -81,6 +88,10 @@ class MeshedSample:
     sample: SurfaceSample
     vertices: Float[Tensor, "v d"]  # on the surface
     faces: Int[Tensor, "m d"]  # corners of the cells
+
+    def __repr__(self) -> str:
+        cells = counted(len(self.faces), "triangle" if self.faces.shape[1] == 3 else "segment")
+        return f"MeshedSample: {cells} on {len(self.vertices):,} vertices\n  {self.sample!r}"
 
 
 def surface_quadrature(field: Field, resolution: int = 64, *, exact_points: bool = False) -> SurfaceSample:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import torch
 
+from implicit.arguments import counted
 from implicit.field.field import Field
 from implicit.surface.extraction import marched_surface
 from implicit.surface.topology import Topology, mesh_topology
@@ -36,6 +37,13 @@ class Soundness:
     slope_low: float
     slope_median: float
     slope_high: float
+
+    def __repr__(self) -> str:
+        slopes = f"{self.slope_low:.3g}, {self.slope_median:.3g}, {self.slope_high:.3g}"
+        return (
+            f"Soundness: {counted(self.pieces, 'piece')}, Euler number {self.topology.euler}; |df/dx| near the surface "
+            f"{slopes} (1st, 50th, 99th percentile)"
+        )
 
 
 def field_soundness(field: Field, resolution: int = 48) -> Soundness:
