@@ -132,7 +132,8 @@ class Field:
             raise TypeError(f"The module must map 3 points to 3 real values, but gave {came}. Wrap it so that it does.")
 
     def __repr__(self) -> str:
-        return f"Field: {'; '.join(text for _, text in self._facts())}"
+        named = ("inside", "bounds", "units")
+        return "Field: " + "; ".join(f"{name} {text}" if name in named else text for name, text in self._facts())
 
     def _repr_html_(self) -> str:
         """Return a small table for notebooks."""
@@ -148,7 +149,7 @@ class Field:
             ("function", f"{function} of {self.dimension} coordinates"),
             ("theta", f"P = {len(self.theta):,} {'(a code)' if self.takes_code else ''}".rstrip()),
             ("numbers", kind_of(self.theta)),
-            ("inside", f"{'below' if self.inside == 'negative' else 'above'} the level {self.level:g}"),
+            ("inside", f"{'below' if self.inside == 'negative' else 'above'} level {self.level:g}"),
             ("bounds", corners),
         ]
         if scale != 1 or any(offset):

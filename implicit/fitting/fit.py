@@ -131,10 +131,17 @@ def fit_field(
     start = perf_counter()
     dimension = _check_samples(points, distances, normals)
     box = _check_bounds(bounds, dimension)
-    network = {"activation": activation, "first_frequency": first_frequency, "frequency": frequency}
-    options = {"steps": steps, "seconds": seconds, "batch": batch, "method": method, "learning_rate": learning_rate}
+    options: dict[str, Any] = {
+        "steps": steps,
+        "seconds": seconds,
+        "batch": batch,
+        "method": method,
+        "learning_rate": learning_rate,
+    }
+    options |= {"width": width, "depth": depth, "activation": activation}
+    options |= {"first_frequency": first_frequency, "frequency": frequency}
     kept = {"band": band, "units": units, "seed": seed, "dtype": dtype, "checkpoint": checkpoint}
-    require_training({"width": width, "depth": depth, **network, **options, **kept})
+    require_training({**options, **kept})
     rate = _LEARNING_RATES[method, activation] if learning_rate is None else learning_rate
 
     # The training happens in [-1, 1]^D, and the map to it is folded into the first and last layer at the end.
@@ -144,7 +151,7 @@ def fit_field(
         ((points - middle.to(points)) / half).to(dtype), (distances / half).to(dtype), normals.to(dtype), band
     )
     generator = torch.Generator().manual_seed(seed)
-    module = _network(dimension, width, depth, generator, **network)
+    module = _network(activation, first_frequency, frequency, (dimension, width, depth), generator)
     module.to(device=points.device, dtype=dtype)
     file = None
     if checkpoint is not None:
@@ -202,18 +209,16 @@ _LEARNING_RATES = {
 
 
 def _network(
-    dimension: int,
-    width: int,
-    depth: int,
-    generator: torch.Generator,
-    *,
     activation: Literal["sine", "softplus", "relu"],
     first_frequency: float,
     frequency: float,
+    sizes: tuple[int, int, int],
+    generator: torch.Generator,
 ) -> Siren | Mlp:
-    if activation != "sine":
-        return Mlp(dimension, width, depth, activation=activation, generator=generator)
-    return Siren(dimension, width, depth, first_frequency=first_frequency, frequency=frequency, generator=generator)
+    """Return a network of an activation, its sizes being the dimension, the width and the depth."""
+    if activation == "sine":
+        return Siren(*sizes, first_frequency=first_frequency, frequency=frequency, generator=generator)
+    return Mlp(*sizes, activation=activation, generator=generator)
 
 
 class _Samples:

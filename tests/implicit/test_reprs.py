@@ -39,7 +39,7 @@ BUMPY = implicit.Topology(40, 78, tuple(1.0 / (k + 1) for k in range(40)))
 # What is printed, and what a reader must find in it.
 OBJECTS = {
     "field": (lambda: SIREN, ["Siren", "P = 2,273", "float32, cpu", "[-1.0, -1.0, -1.0] to [1.0, 1.0, 1.0]", "2.5 x"]),
-    "analytic field": (lambda: BALL, ["Sphere", "P = 4", "float64, cpu", "below the level 0"]),
+    "analytic field": (lambda: BALL, ["Sphere", "P = 4", "float64, cpu", "inside below level 0"]),
     "field of a code": (code_field, ["a function", "P = 3 (a code)"]),
     "plane field": (lambda: shapes.circle(), ["2 coordinates"]),
     "module of a field": (lambda: shapes.bracket().module, ["SmoothDifference(4 bodies: SmoothUnion, Cylinder"]),
@@ -87,7 +87,7 @@ def test_what_is_printed_is_what_the_object_holds():
     half = implicit.SurfaceSample(SAMPLE.points, SAMPLE.normals, SAMPLE.weights / 2)
     assert f"area {float(SAMPLE.weights.sum()) / 2:.6g}" in repr(half)
     assert "float32, cpu" in repr(SAMPLE.to(torch.float32))
-    assert "above the level 0.5" in repr(implicit.Field(shapes.sphere(0.5).module, level=0.5, inside="positive"))
+    assert "above level 0.5" in repr(implicit.Field(shapes.sphere(0.5).module, level=0.5, inside="positive"))
     moved = implicit.Field(shapes.sphere(0.25).module)
     assert "radius=0.25" in repr(moved.module)
 
