@@ -1,4 +1,4 @@
-"""What it costs to start: the imports of the packages, and the command."""
+"""Seconds to start: the imports of the packages, and the command."""
 
 
 class Import:

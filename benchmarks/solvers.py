@@ -46,7 +46,7 @@ class Solvers:
         return self.solution(method).constraint_residual
 
     def track_gradient(self, method, dtype, device):
-        """How far the solution is from a minimum on the constraint: the damped gradient across it, relative."""
+        """Distance of the solution from a minimum on the constraint: the damped gradient across it, relative."""
         x = self.solution(method).x.double()
         B, y, w = (part.double() for part in self.rows[:3])
         gradient = B.T @ (w * (B @ x - y)) + 1e-4 * x

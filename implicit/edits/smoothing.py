@@ -35,7 +35,7 @@ from implicit.step.energies import Energy, NormalTarget, Smoothness
 from implicit.step.off_surface import off_surface
 from implicit.step.problem import Row, State, StepProblem
 from implicit.surface.quadrature import MeshedSample, SurfaceSample
-from implicit.surface.sampling import sample_surface, thinned
+from implicit.surface.sampling import sample_surface, subsample
 
 # Time of an implicit step in units of the area, where none is given: 86 of them take four fifths of a bunny's volume.
 STEP_OF_AREA = 1e-4
@@ -216,7 +216,7 @@ class _Smoothing:
     def step(self, state: State) -> StepProblem:
         field, seed = state.field, self.seed + state.step
         assert state.sample is not None
-        sample = thinned(field, state.sample, self.points, seed=seed)
+        sample = subsample(field, state.sample, self.points, seed=seed)
         kappa = field.mean_curvature(sample.points)
         share = torch.ones_like(kappa) if self.where is None else self.where(sample.points)
         energies: list[Energy] = [*self.flow.energies(field, sample, kappa, self.step_size, share, self.implicit)]

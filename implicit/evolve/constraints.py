@@ -22,7 +22,7 @@ from implicit.step.deformation import DeformationSpace
 from implicit.step.least_squares import LeastSquares, Rows
 from implicit.surface.extraction import require_resolution
 from implicit.surface.quadrature import MeshedSample, SurfaceSample, meshed_quadrature
-from implicit.surface.sampling import thinned
+from implicit.surface.sampling import subsample
 
 Enforce = Literal["rows", "projection", "penalty"]
 
@@ -164,7 +164,7 @@ class Guard:
         return Rows(C / scales[:, None], r / scales, torch.full_like(r, self._price))
 
     def _sensitivities(self, field: Field, space: DeformationSpace) -> Float[Tensor, "m n"]:
-        steering = thinned(field, self.sample, STEERING_POINTS)
+        steering = subsample(field, self.sample, STEERING_POINTS)
         lengths = field.gradient_length(field.gradient(steering.points))
         C = field.theta.new_zeros(len(self.constraints), space.size)
         for k, constraint in enumerate(self.constraints):

@@ -182,7 +182,7 @@ class _Loop:
                 x = part * x
             if guard.hard:
                 x = guard.restore(field, x, system, space, looked=self._changing)
-                if not field.require_finite(x):
+                if not bool(torch.isfinite(x).all()):
                     return EditStatus.NOT_FINITE
             elif guard.surface is not None and not self._changing:
                 guard.look(moved)
@@ -314,7 +314,7 @@ class _Loop:
     ) -> tuple[_Trial | EditStatus, float]:
         """One step tried on the field, and how much it misses its prediction in units of what is allowed."""
         moved = field.with_theta(field.theta + problem.space.split(x)[0])
-        if not moved.require_finite(moved.theta):
+        if not bool(torch.isfinite(moved.theta).all()):
             return EditStatus.NOT_FINITE, math.inf
         points = _probed(problem, carried)
         way = predicted_way(problem, x, points)
