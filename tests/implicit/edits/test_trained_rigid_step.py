@@ -40,7 +40,7 @@ def test_the_energies_are_those_of_the_rows_of_the_least_squares(wobbly, sample,
     reach = VectorTarget(sample.points[where], target, 7 * sample.weights[where])
     T = features.values(sample.points) @ c.T
     dT = torch.einsum("njk,ik->nij", features.slopes(sample.points), c)
-    E_K, E_C = StepEnergies.at(wobbly, strain, reach, where).energies(d_theta, T, dT)
+    E_K, E_C = StepEnergies.at(wobbly, strain, reach, where).values(d_theta, T, dT)
     assert float(E_K) == pytest.approx(total_energy([strain], space, x), rel=1e-10)
     assert float(E_C) == pytest.approx(total_energy([reach], space, x), rel=1e-10)
 
