@@ -25,14 +25,15 @@ def renamed(**names: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         @wraps(function)
         def call(*args: P.args, **options: P.kwargs) -> R:
-            for old in names.keys() & options.keys():
+            current = current_names(call, options)
+            for old in [name for name in names if name in options]:
                 warnings.warn(
                     f"{function.__name__}({old}=...) is now {function.__name__}({names[old]}=...). The former name "
                     "goes with the next version.",
                     DeprecationWarning,
                     stacklevel=2,
                 )
-            return function(*args, **current_names(call, options))  # type: ignore[arg-type]
+            return function(*args, **current)  # type: ignore[arg-type]
 
         setattr(call, _NAMES, names)
         return call
@@ -52,9 +53,9 @@ def current_names(function: Callable[..., Any], options: Mapping[str, Any]) -> d
         TypeError: An option is there under both names.
     """
     names = former_names(function)
-    for old in names.keys() & options.keys():
-        if names[old] in options:
-            raise TypeError(f"{old} is the former name of {names[old]}, but both are given. Leave {old} out.")
+    for old, new in names.items():
+        if old in options and new in options:
+            raise TypeError(f"{old} is the former name of {new}, but both are given. Leave {old} out.")
     return {names.get(name, name): value for name, value in options.items()}
 
 

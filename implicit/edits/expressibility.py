@@ -74,10 +74,12 @@ class Expressibility:
 
     def __repr__(self) -> str:
         count, dimension = self.points.shape
+        precision = str(self.points.dtype).removeprefix("torch.")
         return (
-            f"Expressibility({self.verdict.name}, rms={self.rms:.3g}, largest={self.largest:.3g}, "
-            f"unmet={self.unmet:.3g}, rank={self.rank:.0f}, damping={self.damping:.3g}, steps={self.steps}; "
-            f"{count} points in {dimension}D, {str(self.points.dtype).removeprefix('torch.')} on {self.points.device})"
+            f"Expressibility: {self.verdict.name} in {self.steps} steps, at {count:,} points in {dimension}D "
+            f"({precision}, {self.points.device})\n"
+            f"  of the largest target: error {self.rms:.3g} rms, {self.largest:.3g} at most; of the target: "
+            f"{self.unmet:.3g} unmet; rank {self.rank:.0f}, damping {self.damping:.3g}"
         )
 
     @property

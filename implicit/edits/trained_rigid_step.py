@@ -80,11 +80,12 @@ class TrainedStep:
     status: TrainingStatus
 
     def __repr__(self) -> str:
+        precision = str(self.d_theta.dtype).removeprefix("torch.")
         return (
-            f"TrainedStep({self.status.name}, energy={self.energy:.4g}, strain={self.strain:.4g}, "
-            f"linear_energy={self.linear_energy:.4g}, linear_strain={self.linear_strain:.4g}, "
-            f"seconds={self.seconds:.3g}; {len(self.losses)} iterations, {len(self.d_theta)} parameters, "
-            f"{str(self.d_theta.dtype).removeprefix('torch.')} on {self.d_theta.device})"
+            f"TrainedStep: {self.status.name}, iterations {len(self.losses):,}, of {len(self.d_theta):,} parameters "
+            f"({precision}, {self.d_theta.device})\n"
+            f"  energy {self.energy:.4g}, of it strain {self.strain:.4g}, in {self.seconds:.3g} s; least squares: "
+            f"{self.linear_energy:.4g}, {self.linear_strain:.4g}, {self.linear_seconds:.3g} s"
         )
 
     def displacement(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
