@@ -35,7 +35,7 @@ from implicit.surface.sampling import sample_surface
 
 
 class Verdict(Enum):
-    """What to expect of an edit; the value is the sentence a user reads."""
+    """Answer to whether a field can take an edit; the value is the sentence a user reads."""
 
     YES = "The field can express this displacement."
     NO = "The field cannot express this displacement: a tenth or more of it will be missed; see where."
@@ -43,19 +43,19 @@ class Verdict(Enum):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Expressibility:
-    """What a field can make of a target, predicted from its sensitivities before any edit.
+    """Prediction of how much of a target a field can express, from its sensitivities before any edit.
 
     Attributes:
         points, normals, weights: A sample of the unedited surface, other points than the prediction was solved at.
-        target: Normal displacement asked for at the points (N,), a length; NaN where nothing was asked.
+        target: Normal displacement that is the target at the points (N,), a length; NaN where there is none.
         error: Predicted achieved minus target over the largest target (N,), as Edit.error_field will be.
-        rms, largest: Root mean square of the error over the area where something was asked, and its largest size.
+        rms, largest: Root mean square of the error over the area that has a target, and its largest size.
         unmet: Root of the share of the squared target that will be missed: 0 for all met, 1 for nothing met.
         rank: Number of parameter directions that the target's points decide at this damping.
         condition: Estimated condition number of the damped system.
         damping: Damping that the first step of the edit ends up with.
         steps: Number of equal sub-steps that were assumed.
-        verdict: Whether to go on.
+        verdict: YES to go on, NO where a tenth or more of the target will be missed.
     """
 
     points: Float[Tensor, "n d"]
@@ -127,7 +127,7 @@ def expressibility(
 
     Args:
         field: The field as it is.
-        handles, rest, damping, least_alignment, off_surface_strength, seed: As for geometric_edit.
+        handles, rest, damping, least_alignment, off_surface_strength, seed: Options of geometric_edit.
         steps: Number of equal sub-steps of the edit in mind. More of them come closer, for each corrects those before.
         points: Number of points that carry the target; as many others judge the prediction.
 

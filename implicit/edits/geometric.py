@@ -53,19 +53,19 @@ def geometric_edit(
         field: The field to edit; the caller's own stays as it is until `edit.field.write_back()`.
         handles: Regions and their displacements. A region's weight between 0 and 1 scales the displacement; where
             several overlap, displacements add. Vectors are projected on the current normal in each step.
-        rest: What becomes of points in no region: "fixed" at zero, "free", or fixed with this weight.
+        rest: Target of points in no region: "fixed" at zero, "free", or fixed with this weight.
         steps: Equal sub-steps; None chooses their number as the edit goes, from the linearity error of each.
-        points: How many points carry the target, or the sample itself. They travel with the surface, and are drawn
-            anew, more of them, where they have thinned out.
+        points: Number of points that carry the target, or the sample itself. They travel with the surface, and are
+            drawn anew, more of them, where they have thinned out.
         damping: Penalty on |d_theta|^2; None adapts it to the linearity error.
         constraints: Functionals to hold during the edit, such as Volume() or Area().
         least_alignment: Points whose displacement makes a smaller cosine than this with the normal are left free.
-        off_surface_strength: How firmly the field away from the surface is tied to the surface's motion, which keeps
+        off_surface_strength: Weight by which the field off the surface is tied to the surface's motion, which keeps
             stray pieces from arising there; 0 leaves it to chance, as the paper does.
-        resolution: Of the quadrature that measures the constraints, and of the pieces of the surface that are counted.
+        resolution: Cells a side of the quadrature that measures the constraints and counts the pieces of the surface.
         track: Further surface points (M, D) to carry along.
         progress: Called after each step.
-        seed: Of the random points.
+        seed: Seed of the random points.
 
     Returns:
         The edit. `before` and `after` say how sound the field is, `notes` what has become worse.
@@ -98,7 +98,7 @@ def geometric_edit(
         asked=lambda points, normals: _target_and_directions(targets_of(points, normals)),
         progress=None if progress is None else lambda step, _, row: progress(step, splitting.count(step), row),
     )
-    if edit.status is EditStatus.REACHED:  # the whole way was gone in fewer parts than there might have been
+    if edit.status is EditStatus.REACHED:  # the whole displacement was taken in fewer parts than there might have been
         edit = replace(edit, status=EditStatus.DONE)
     return with_evidence(edit, before, resolution)
 

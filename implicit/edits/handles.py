@@ -1,4 +1,4 @@
-"""Handles: a region of the surface, and the motion asked of it.
+"""Handles: a region of the surface, and its motion.
 
 What a handle asks of a point, and what several ask of it together, is in implicit.edits.targets.
 """
@@ -47,8 +47,8 @@ class RigidMotion:
     Args:
         rotation: A rotation vector (3,), its length the angle in radians; a rotation matrix (3, 3); or in the
             plane an angle.
-        translation: Added after the rotation; None is zero.
-        center: Fixed by the rotation; None is the origin.
+        translation: Vector (D,) added after the rotation, a length; None is zero.
+        center: Point (D,) that the rotation leaves where it is; None is the origin.
     """
 
     rotation: Vector | float | None = None

@@ -4,8 +4,8 @@ Each step minimises E_K + alpha E_C over the parameters and the coefficients of 
 [paper, section 4.3]: E_K = int |J + J^T|^2 is zero just for infinitesimal rigid motions (Killing fields). The paper
 trains a second network for the tangential part; a linear basis makes each step one least squares.
 
-What the handles ask of the shape as a whole, the rigid motion that fits their targets best, is done first, and exactly,
-where the network has a closed form; the steps have only the rest to do.
+The rigid motion that fits the handles' targets best, as a whole, is done first, and exactly, where the network has a
+closed form; the steps have only the rest to do.
 
 A wide network's step is sought among combinations of the sensitivities of some points, a narrow one's among all
 parameters. All is computed in float64: the damping that suits these systems is below what single precision resolves.
@@ -92,15 +92,15 @@ def rigid_edit(
             1 for both; what lies off the surface then costs as much as strain on it. The default leaves half the
             tangential energy on the bundled cow, with the same handles.
         tangential: Basis of the motion along the surface; None takes CosineFeatures(field).
-        points: How many points carry the energies, spread as far apart as can be, or the sample itself.
+        points: Number of points that carry the energies, spread as far apart as can be, or the sample itself.
         damping: Penalty on the squares of the unknowns; None adapts it to the linearity error.
-        off_surface_strength: How firmly the field away from the surface is tied to the surface's motion, see
+        off_surface_strength: Weight by which the field off the surface is tied to the surface's motion, see
             implicit.step.off_surface. 0 leaves it alone.
         constraints: Functionals to hold, such as Volume().
-        resolution: Of the quadrature that measures the constraints, and of the pieces of the surface that are counted.
+        resolution: Cells a side of the quadrature that measures the constraints and counts the pieces of the surface.
         track: Further surface points (M, D) to carry along.
         progress: Called after each step.
-        seed: Of the random points and features.
+        seed: Seed of the random points and features.
 
     Returns:
         The edit. `before` and `after` say how sound the field is, `notes` what has become worse, and whether the points
@@ -165,7 +165,7 @@ def _can_be_placed(field: Field, whole: Placement, sample: SurfaceSample, constr
 
 @dataclass(frozen=True, kw_only=True)
 class RigidSettings:
-    """How the steps of a rigid edit weigh their energies; see rigid_edit for each."""
+    """Weights of the energies of a rigid edit's steps; see rigid_edit for each."""
 
     steps: int = 1
     alpha: float
@@ -216,11 +216,11 @@ def prepare(
 
 @dataclass(frozen=True, eq=False)
 class RigidOperation:
-    """What the steps of a rigid edit minimise, for the loop.
+    """Energies that the steps of a rigid edit minimise, for the loop.
 
     Attributes:
         sample: The points that carry the energies, on the unedited surface.
-        targets: What the handles ask of them.
+        targets: Targets that the handles set them.
         settings: The weights of the energies.
         tangential: Basis of the motion along the surface.
         begin: The rigid motion that took the field and the sample to where the loop begins; None is none.

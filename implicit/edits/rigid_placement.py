@@ -20,7 +20,7 @@ from implicit.surface.quadrature import SurfaceSample
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """x -> R x + t."""
+    """Rigid motion x -> R x + t."""
 
     rotation: Float[Tensor, "3 3"]
     translation: Float[Tensor, " 3"]

@@ -1,4 +1,4 @@
-"""What handles ask of the points of a surface: where each is to go, with what weight, and what holds on an overlap.
+"""Targets that handles set the points of a surface: positions, weights, and what holds where handles overlap.
 
 Handle k weighs the point x of the unedited surface by w_k(x), the weight of its region there, and takes it to m_k(x, t)
 after the fraction t of its motion. Two rules join the handles that a point lies in:
@@ -27,16 +27,16 @@ Rest = Literal["fixed", "free"] | float
 
 
 class HandleTargets(ABC):
-    """What handles ask of points of the unedited surface.
+    """Targets that handles set points of the unedited surface.
 
     Args:
-        handles: Regions and their displacements.
-        points, normals: Of the unedited surface (N, D).
+        handles: Regions and their displacements; with none, all points are the rest.
+        points, normals: Points of the unedited surface and their unit normals (N, D).
 
     Attributes:
         handle_weights: Weights of the points in the region of each handle, (N,) each.
         prescribed: Which points lie in a region (N,).
-        weights: Weight of each point in the target (N,), 0 where nothing is asked.
+        weights: Weight of each point in the target (N,), 0 where it has none.
     """
 
     weights: Float[Tensor, " n"]
@@ -45,14 +45,16 @@ class HandleTargets(ABC):
         self.points, self.normals = points, normals
         self._handles = handles
         self.handle_weights = [handle.weights(points) for handle in handles]
-        self.prescribed = torch.stack([weights > 0 for weights in self.handle_weights]).any(dim=0)
+        self.prescribed = torch.zeros(len(points), dtype=torch.bool, device=points.device)
+        for weights in self.handle_weights:
+            self.prescribed |= weights > 0
 
     @abstractmethod
     def positions(self, fraction: float) -> Float[Tensor, "n d"]:
         """Return where the points are to be after a fraction of the edit; those in no region stay."""
 
     def target(self) -> Float[Tensor, "n d"]:
-        """Return the displacement that an edit is judged by, to where it is to end; NaN where nothing is asked."""
+        """Return the displacement that an edit is judged by, to the final positions; NaN where there is no target."""
         whole = self.positions(1.0) - self.points
         return torch.where((self.weights > 0)[:, None], whole, torch.full_like(whole, float("nan")))
 
@@ -72,7 +74,7 @@ class SummedTargets(HandleTargets):
 
     Args:
         handles, points, normals: See HandleTargets.
-        rest: What becomes of points in no region: "fixed" at zero, "free", or fixed with this weight.
+        rest: Target of points in no region: "fixed" at zero, "free", or fixed with this weight.
         least_alignment: Points whose displacement makes a smaller cosine than this with the normal are left free:
             sliding along itself the surface hardly shows it, and asking for the rest would be noise.
 
@@ -119,7 +121,7 @@ class SummedTargets(HandleTargets):
         return torch.nn.functional.normalize(turned, dim=1)
 
     def largest(self) -> float:
-        """Return the longest displacement asked for."""
+        """Return the longest displacement among the targets, a length."""
         return float((self.positions(1.0) - self.points).norm(dim=1).max())
 
 

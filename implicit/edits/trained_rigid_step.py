@@ -46,7 +46,7 @@ FIELD_RATE = 3e-3
 
 
 class TrainingStatus(Enum):
-    """How the training ended; the value is the sentence a user reads."""
+    """End of a training; the value is the sentence a user reads."""
 
     TRAINED = "All iterations were taken."
     NOT_FINITE = "The training ran into numbers that are not finite; the weights are those of the iteration before."
@@ -64,7 +64,7 @@ class TrainedStep:
         linear_energy, linear_strain: The same of the least squares over d_theta and the linear tangential basis.
         losses: E_K + alpha E_C in each iteration.
         seconds, linear_seconds: Wall time of the training and of the least squares, each with its derivatives.
-        status: How the training ended.
+        status: End of the training.
     """
 
     field: Field
@@ -183,7 +183,7 @@ class LearnedFeatures:
     The network's own field is among those that they span, so the least squares over them is at least as good.
 
     Args:
-        network: Of a TrainedStep.
+        network: The network of a TrainedStep.
     """
 
     def __init__(self, network: Siren) -> None:
@@ -195,13 +195,16 @@ class LearnedFeatures:
 
     @property
     def count(self) -> int:
+        """Return the number of basis functions."""
         return self._count
 
     def values(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n k"]:
+        """Return the basis functions at the points."""
         with torch.no_grad():
             return self._functions(points)
 
     def slopes(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 k"]:
+        """Return their gradients at the points."""
         with torch.no_grad():
             return value_and_slope(self._functions, points)[1].transpose(1, 2)
 
@@ -223,7 +226,7 @@ class StepEnergies:
     speeds: Float[Tensor, "n 4 p"]  # u and its three slopes, for each parameter
     weights: Float[Tensor, " n"]
     shares: Float[Tensor, "3 3"]  # weights of the entries of J + J^T, in the axes
-    held: Float[Tensor, " n"]  # weight of the target, zero where nothing is asked
+    target_weights: Float[Tensor, " n"]  # zero where there is none
     target: Float[Tensor, "n 3"]
 
     @classmethod
@@ -231,8 +234,8 @@ class StepEnergies:
         """Return the field's derivatives at the points that carry the strain; `where` marks those of the target."""
         frame = Frame.at(field, strain.points)
         speeds = speed_and_slope(field, frame)
-        held, target = torch.zeros_like(strain.weights), torch.zeros_like(strain.points)
-        held[where], target[where] = reach.weights, reach.target
+        weights, target = torch.zeros_like(strain.weights), torch.zeros_like(strain.points)
+        weights[where], target[where] = reach.weights, reach.target
         shares = [[strain.share(min(a, b), max(a, b), 2) for b in range(3)] for a in range(3)]
         return cls(
             strain.points,
@@ -242,7 +245,7 @@ class StepEnergies:
             speeds,
             strain.weights,
             torch.tensor(shares, dtype=torch.float64).to(speeds),
-            held,
+            weights,
             target,
         )
 
@@ -264,7 +267,7 @@ class StepEnergies:
         J = dT + n[:, :, None] * ds[:, None, :] + s[:, None, None] * self.normal_slopes
         strain = self.axes @ (J + J.transpose(1, 2)) @ self.axes.transpose(1, 2)
         E_K = (self.weights[:, None, None] * self.shares * strain.square()).sum()
-        E_C = (self.held[:, None] * (T + n * s[:, None] - self.target).square()).sum()
+        E_C = (self.target_weights[:, None] * (T + n * s[:, None] - self.target).square()).sum()
         return E_K, E_C
 
 

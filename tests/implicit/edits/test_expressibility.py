@@ -75,6 +75,11 @@ def test_free_points_have_no_target(wobbly):
     found = expressibility(wobbly, handle, rest="free", points=500, steps=2)
     assert bool(torch.isnan(found.error[found.points[:, 2] < 0.19]).all())
     assert basis(wobbly, found.points[:1]).shape[1] >= found.rank > 0
+    assert repr(found).startswith(
+        f"Expressibility: {found.verdict.name} in 2 steps, at 500 points in 3D (float64, cpu)\n"
+    )
+    assert f"error {found.rms:.3g} rms, {found.largest:.3g} at most" in repr(found)
+    assert len(repr(found).splitlines()) == 2
 
 
 def test_bad_input_is_refused(wobbly):

@@ -59,6 +59,12 @@ def test_points_in_no_region_have_the_weight_of_the_rest(rest, weight):
     assert weight == 0 or not target[[0, 1, 3, 4, 5]].any()
 
 
+def test_without_handles_all_points_are_the_rest():
+    targets = SummedTargets([], POINTS, NORMALS)
+    assert targets.weights.tolist() == [1] * 6
+    assert not targets.target().any()
+
+
 def test_points_that_slide_along_the_surface_are_left_out():
     """A vector along x makes the cosines 1 at the poles of x, 0 at the others."""
     targets = SummedTargets([Handle(EVERYWHERE, (0.1, 0, 0))], POINTS, NORMALS, least_alignment=0.5)

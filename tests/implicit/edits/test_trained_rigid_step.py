@@ -108,6 +108,9 @@ def test_the_linear_energy_is_that_of_the_first_step_of_a_rigid_edit(wobbly, sam
     edit = rigid_edit(wobbly, handles, points=sample, tangential=features, off_surface_strength=0.0)
     assert edit.history[0]["solves"] == 1
     assert edit.history[0]["objective"] == pytest.approx(step.linear_energy, rel=1e-6)
+    first, second = repr(step).splitlines()
+    assert first == f"TrainedStep: TRAINED, iterations 1, of {len(wobbly.theta)} parameters (float64, cpu)"
+    assert second.startswith(f"  energy {step.energy:.4g}, of it strain {step.strain:.4g}, in ")
 
 
 def test_the_least_squares_over_the_trained_features_is_at_least_as_good_as_the_training(wobbly, sample):
