@@ -35,7 +35,7 @@ def resident() -> float:
 
 def geometric(steps: int, progress: Progress) -> None:
     bump = implicit.Handle(implicit.Ball((0.5, 0, 0), 2.0), implicit.Along(0.05))
-    implicit.geometric_edit(BALL, bump, parts=steps, points=60, resolution=8, progress=progress)
+    implicit.geometric_edit(BALL, bump, steps=steps, points=60, resolution=8, progress=progress)
 
 
 def smooth(steps: int, progress: Progress) -> None:

@@ -68,7 +68,7 @@ def operations(folder: Path) -> dict[str, Callable[[], object]]:
     samples = near.points + off[:, None] * near.normals, off, near.normals
     step = 1e-4 * meshref.area(V, F)
     return {
-        "geometric_edit, 4 parts, 2000 points": lambda: implicit.geometric_edit(precise, bump, parts=4, points=2000),
+        "geometric_edit, 4 parts, 2000 points": lambda: implicit.geometric_edit(precise, bump, steps=4, points=2000),
         "smooth, 3 steps, volume held": lambda: implicit.smooth(field, steps=3, constraints=(implicit.Volume(),)),
         "rigid_edit, 1000 points": lambda: implicit.rigid_edit(precise, [feet, head], points=1000),
         "semantic_edit, a chair's feet": lambda: implicit.semantic_edit(chair, points, ways),

@@ -27,6 +27,7 @@ from compare.paper.request import Request
 from compare.reports.views import Camera
 from compare.runs.subject import Subject
 from implicit import Along, Ball, Edit, HalfSpace, Handle, Region, SurfaceSample
+from implicit.edits.targets import SummedTargets
 
 # Middles of the bumps in the field's coordinates, where the surface, moved out by a tenth of the shape along its
 # normals on a quarter of its area, does not fold over: most places of thin or hollow shapes would.
@@ -132,9 +133,9 @@ def _quarter(sample: SurfaceSample, region_of) -> Region:  # type: ignore[no-unt
 def _task(request: Request, name: str, kind: str, subject: Subject, handle: Handle) -> _Task:
     field = subject.field
     parts, points = (4, 1500) if request.quick else (PARTS, 4000)
-    predicted = implicit.expressibility(field, handle, parts=parts, points=points, seed=request.seed)
+    predicted = implicit.expressibility(field, handle, steps=parts, points=points, seed=request.seed)
     start = perf_counter()
-    edit = implicit.geometric_edit(field, handle, parts=parts, points=points, seed=request.seed)
+    edit = implicit.geometric_edit(field, handle, steps=parts, points=points, seed=request.seed)
     seconds = perf_counter() - start
     # Letters have edges that a coarse quadrature would hit or miss.
     dense = implicit.surface_quadrature(field, 96 if kind == "letters" else 48, exact_points=True)
@@ -145,8 +146,8 @@ def _task(request: Request, name: str, kind: str, subject: Subject, handle: Hand
 def _biharmonic(subject: Subject, handle: Handle) -> float | None:
     """The error field of a biharmonic mesh deformation with the core of the handle moved and the rest held."""
     points, normals = torch.from_numpy(subject.V), torch.from_numpy(subject.N)
-    weights = handle.weights(points).numpy()
-    target = weights[:, None] * (handle.position(1.0, points, normals) - points).numpy()
+    targets = SummedTargets([handle], points, normals)
+    weights, target = targets.handle_weights[0].numpy(), targets.displacement().numpy()
     held = np.flatnonzero((weights == 0) | (weights > 1 - 1e-9))
     if len(held) == len(weights) or not (weights > 1 - 1e-9).any():
         return None  # letters have no falloff to be smooth over
@@ -179,8 +180,8 @@ def _picture(tasks: list[_Task]) -> Figure:
 def _target(task: _Task, V: ndarray) -> ndarray:
     points = torch.from_numpy(V)
     normals = task.subject.field.normal(points)
-    way = task.handle.weights(points)[:, None] * (task.handle.position(1.0, points, normals) - points)
-    normal = (way * normals).sum(dim=1).numpy()
+    displacement = SummedTargets([task.handle], points, normals).displacement()
+    normal = (displacement * normals).sum(dim=1).numpy()
     return np.asarray(normal / max(np.abs(normal).max(), 1e-300))
 
 

@@ -37,7 +37,7 @@ def draw(request: Request) -> list[Finding]:
                 rope,
                 PULL,
                 rest="free",
-                parts=parts,
+                steps=parts,
                 points=points,
                 constraints=constraints,
                 resolution=128,

@@ -28,6 +28,8 @@ from compare.cases.case import Case
 from compare.errors import Progress
 from compare.runs.memory import with_peak_memory
 from compare.runs.subject import Subject
+from implicit.edits.targets import SummedTargets
+from implicit.renamed import current_names
 
 if TYPE_CHECKING:
     from implicit import Edit, Field
@@ -89,10 +91,10 @@ def wanted_motion(case: Case, subject: Subject) -> Wanted:
     points, normals = torch.from_numpy(subject.V), torch.from_numpy(subject.N)
     number_of = np.zeros(len(subject.V), dtype=np.int64)
     displacement = np.zeros_like(subject.V)
+    handles = [spec.build() for spec in case.handles]
+    targets = SummedTargets(handles, points, normals)
     for number, spec in enumerate(case.handles, start=1):
-        handle = spec.build()
-        weights = handle.weights(points).numpy()
-        motion = (handle.position(1.0, points, normals) - points).numpy()
+        weights = targets.handle_weights[number - 1].numpy()
         inside = weights > (0 if case.operation == "geometric" else 0.5)
         if not inside.any():
             raise ValueError(
@@ -100,11 +102,12 @@ def wanted_motion(case: Case, subject: Subject) -> Wanted:
                 f"field's coordinates, where the shape spans {np.round(subject.V.min(0), 3)} to "
                 f"{np.round(subject.V.max(0), 3)}."
             )
-        if case.operation == "geometric":
-            displacement += weights[:, None] * motion
-        else:
-            displacement[inside] = motion[inside]
+        if case.operation != "geometric":
+            motion = handles[number - 1].position(1.0, points, normals) - points
+            displacement[inside] = motion.numpy()[inside]
         number_of[inside] = number
+    if case.operation == "geometric":
+        displacement = targets.displacement().numpy()
     at = np.ones(len(subject.V), dtype=bool) if case.operation == "geometric" else number_of > 0
     return Wanted(number_of, at, displacement)
 
@@ -129,7 +132,12 @@ def edit_by_all(case: Case, subject: Subject, wanted: Wanted, progress: Progress
 
 def edit_field(case: Case, subject: Subject, progress: Progress | None = None) -> Outcome:
     """The case by the neural editor."""
-    options = dict(case.parameters.get("implicit", {}))
+    editors: dict[str, Callable[..., Edit]] = {
+        "geometric": implicit.geometric_edit,
+        "smooth": implicit.smooth,
+        "rigid": implicit.rigid_edit,
+    }
+    options = current_names(editors[case.operation], case.parameters.get("implicit", {}))
     common: dict[str, Any] = {
         "track": torch.from_numpy(subject.V),
         "progress": _teller(progress, f"{case.operation}, neural field"),

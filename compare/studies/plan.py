@@ -26,6 +26,7 @@ from compare.errors import InputError
 from compare.fitting.fit import fit_mesh, place_in_cube
 from compare.runs.subject import load_mesh
 from compare.studies.study import Study, settings_at
+from implicit.renamed import former_names
 from implicit.shapes import bundled
 
 POINTS = 20_000  # on a shape, among which handles are found
@@ -132,6 +133,7 @@ def _options(part: str, operation: Operation) -> set[str]:
         for name, parameter in inspect.signature(function).parameters.items()
         if parameter.kind is parameter.KEYWORD_ONLY and name not in OURS
     }
+    names |= {old for function in functions for old in former_names(function)}  # of files of before
     return names - set(OF_SMOOTHING) if operation == "smooth" and part != "fit" else names
 
 

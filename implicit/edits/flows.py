@@ -39,13 +39,13 @@ class Flow(Protocol):
         share: Float[Tensor, " n"],
         implicit: bool,
     ) -> Sequence[Energy]:
-        """What one step minimises.
+        """Return the energies that one step minimises.
 
         Args:
             kappa: Mean curvature at the points of the sample.
-            time: Of the step.
+            time: Time of the step, in the flow's unit.
             share: Between 0 and 1, how much of the flow's speed each point gets.
-            implicit: Whether to add the implicit part.
+            implicit: True adds the implicit part.
         """
 
 
@@ -118,14 +118,17 @@ class Offset:
 
 
 def squared_curvatures(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
-    """|A|^2, the sum of the squared principal curvatures."""
+    """Return |A|^2, the sum of the squared principal curvatures (N,), per squared length."""
     frame = Frame.at(field, points)
     shape = frame.axes @ frame.normal_slopes @ frame.axes.transpose(1, 2)
     return shape[:, :-1, :-1].square().sum(dim=(1, 2))
 
 
 def curvature_slope(field: Field, points: Float[Tensor, "n d"]) -> tuple[Float[Tensor, " n"], Float[Tensor, "n d"]]:
-    """|A|^2, the sum of the squared principal curvatures, and the slope of kappa in space; third derivatives of f."""
+    """Return |A|^2, the sum of the squared principal curvatures (N,), and the gradient of kappa in space (N, D).
+
+    The latter takes third derivatives of f.
+    """
     squares, slopes = [], []
     with torch.enable_grad():
         for part in points.split(4096):

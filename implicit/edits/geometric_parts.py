@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from implicit.edits.targets import Goal
+from implicit.edits.targets import SummedTargets
 from implicit.field.field import Field
 from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import Energy, NormalTarget
@@ -77,7 +77,7 @@ class Displacement:
     def __init__(
         self,
         field: Field,
-        goal_of: Callable[[Tensor, Tensor], Goal],
+        goal_of: Callable[[Tensor, Tensor], SummedTargets],
         sample: SurfaceSample,
         splitting: Splitting,
         damping: float | None,
@@ -109,7 +109,7 @@ class Displacement:
             self._redrawn = True
             points, used = self._places(state, now)
         energy = _part_energy(field, self._goal, self._sample, points, used, then)
-        ahead = self._carried.at(then) - self._carried.at(now)
+        ahead = self._carried.positions(then) - self._carried.positions(now)
 
         def slide(carried: Tensor, normals: Tensor) -> Tensor:
             # A prescribed point follows its whole vector; the field sees only the part along the normal.
@@ -125,12 +125,12 @@ class Displacement:
 
     def _places(self, state: State, now: float) -> tuple[Tensor, Tensor]:
         """Where the sample is on the current surface, and which of its points carry the target."""
-        used = self._goal.importance > 0
+        used = self._goal.weights > 0
         if not self._redrawn:
             return state.points, used
         # The parts before have taken every point to its goal but for what they missed, so that is where it is.
         reach = 0.1 * state.field.size
-        points, arrived = newton_to_surface(state.field, self._goal.at(now), reach=reach)
+        points, arrived = newton_to_surface(state.field, self._goal.positions(now), reach=reach)
         return points, used & arrived
 
     def finished(self, state: State, history: Sequence[Row]) -> bool:
@@ -140,12 +140,12 @@ class Displacement:
 
 
 def _part_energy(
-    field: Field, goal: Goal, sample: SurfaceSample, points: Tensor, used: Tensor, then: float
+    field: Field, goal: SummedTargets, sample: SurfaceSample, points: Tensor, used: Tensor, then: float
 ) -> NormalTarget:
     """E_C of one part: from where the sample's points are to their goal after the part, along the normal."""
     here = points[used]
-    target = ((goal.at(then)[used] - here) * field.normal(here)).sum(dim=1)
-    return NormalTarget(here, target, (sample.weights * goal.importance)[used])
+    target = ((goal.positions(then)[used] - here) * field.normal(here)).sum(dim=1)
+    return NormalTarget(here, target, (sample.weights * goal.weights)[used])
 
 
 class _Coverage:
@@ -153,8 +153,8 @@ class _Coverage:
 
     neighbours = 8
 
-    def __init__(self, goal: Goal, sample: SurfaceSample, density: float | None = None) -> None:
-        self._moving = goal.prescribed & (goal.importance > 0)
+    def __init__(self, goal: SummedTargets, sample: SurfaceSample, density: float | None = None) -> None:
+        self._moving = goal.prescribed & (goal.weights > 0)
         self._power = sample.points.shape[1] - 1
         own = len(sample) / float(sample.weights.sum())
         self.density = own if density is None else density  # points an area that the edit began with

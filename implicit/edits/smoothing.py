@@ -29,6 +29,7 @@ from implicit.evolve.constraints import Holding, checked_constraints
 from implicit.evolve.edit import Edit, Progress, require_options
 from implicit.evolve.evolve import evolve
 from implicit.field.field import Field
+from implicit.renamed import renamed
 from implicit.sensitivity.shape_functionals import Functional, Volume
 from implicit.step.deformation import DeformationSpace, spanned
 from implicit.step.energies import Energy, NormalTarget, Smoothness
@@ -73,6 +74,7 @@ class Until:
         )
 
 
+@renamed(off="off_surface_strength")
 def smooth(
     field: Field,
     *,
@@ -84,7 +86,7 @@ def smooth(
     constraints: Sequence[Functional] = (),
     holding: Holding | None = None,
     until: Until | None = None,
-    off: float = 1e-2,
+    off_surface_strength: float = 1e-2,
     restore: float = 0.0,
     points: int = 400,
     directions: int | None = 200,
@@ -108,7 +110,8 @@ def smooth(
         constraints: Functionals to hold, such as Volume().
         holding: How they are held; None is by hard rows, restored by Newton's method.
         until: When to stop before.
-        off: Strength of the energy that lets the field off the surface follow the surface (implicit.step.off_surface).
+        off_surface_strength: Strength of the energy that lets the field off the surface follow the surface, see
+            implicit.step.off_surface.
         restore: Share of the field's deviation from a distance that a step undoes; 0 for fields that are none.
         points: Points at which the flow is prescribed, chosen anew for each step.
         directions: How many sensitivities span the step, three quarters of them on the surface; None takes all
@@ -129,7 +132,7 @@ def smooth(
     require_choice("method", method, ("implicit", "explicit"))
     if step_size is not None:
         require_positive("step_size", step_size, "time, for mean curvature a squared length")
-    require_positive("off", off, or_zero=True)
+    require_positive("off_surface_strength", off_surface_strength, or_zero=True)
     require_positive("restore", restore, or_zero=True)
     require_whole("points", points)
     if directions is not None:
@@ -149,7 +152,7 @@ def smooth(
         implicit=method == "implicit",
         where=where,
         until=until or Until(),
-        off=off,
+        off_surface_strength=off_surface_strength,
         restore=restore,
         points=points,
         directions=directions,
@@ -205,7 +208,7 @@ class _Smoothing:
     implicit: bool
     where: Region | None
     until: Until
-    off: float
+    off_surface_strength: float
     restore: float
     points: int
     directions: int | None
@@ -220,8 +223,9 @@ class _Smoothing:
         kappa = field.mean_curvature(sample.points)
         share = torch.ones_like(kappa) if self.where is None else self.where(sample.points)
         energies: list[Energy] = [*self.flow.energies(field, sample, kappa, self.step_size, share, self.implicit)]
-        away = off_surface(field, sample, strength=self.off, restore=self.restore, points=self.points // 4, seed=seed)
-        if self.off > 0:
+        strength, count = self.off_surface_strength, self.points // 4
+        away = off_surface(field, sample, strength=strength, restore=self.restore, points=count, seed=seed)
+        if strength > 0:
             energies.append(away)
         basis = None if self.directions is None else spanned(field, sample.points, away.points, self.directions)
         return StepProblem(

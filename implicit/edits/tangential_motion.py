@@ -15,7 +15,6 @@ Sources: Stam & Schmidt, "On the velocity of an implicit surface", ACM TOG 30(3)
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import torch
 from jaxtyping import Float
@@ -35,15 +34,6 @@ from implicit.surface.sampling import sample_surface
 # Damping of the near-isometric solve, relative to the trace of its normal matrix. The strain of a motion that could be
 # free of strain stays at about this part of the motion's square; less, and rounding decides.
 DAMPING = 1e-12
-
-
-class Slide(Protocol):
-    """A choice of the motion along the surface."""
-
-    def __call__(
-        self, field: Field, d_theta: Float[Tensor, " p"], points: Float[Tensor, "n d"]
-    ) -> Float[Tensor, "n d"]:
-        """Tangent vectors at surface points, a length, when the parameters change by d_theta."""
 
 
 @dataclass(frozen=True)
@@ -121,9 +111,9 @@ class NearIsometric:
                 matrix, target = matrix[:, 1:], target - matrix[:, 0]
             system.add(Rows(matrix, target, rows.weights))
         c = system.solve(relative_damping=DAMPING).x.view(precise.dimension, model.count)
-        slide = model.values(at) @ c.T
+        motion = model.values(at) @ c.T
         n = precise.normal(at)
-        return (slide - n * (n * slide).sum(dim=1, keepdim=True)).to(points)
+        return (motion - n * (n * motion).sum(dim=1, keepdim=True)).to(points)
 
 
 def _require_update(field: Field, d_theta: Tensor) -> None:

@@ -56,13 +56,13 @@ RUNS: dict[str, Callable[[], object]] = {
     "sample rejection": lambda: implicit.sample_surface(BULB, 20, "rejection", resolution=16, seed=3),
     "quadrature": lambda: implicit.surface_quadrature(BULB, 16),
     "extract": lambda: implicit.extract_mesh(BULB, 16),
-    "geometric": lambda: implicit.geometric_edit(BALL, BUMP, parts=2, **SMALL),
+    "geometric": lambda: implicit.geometric_edit(BALL, BUMP, steps=2, **SMALL),
     "rigid": lambda: implicit.rigid_edit(
         BULB, [TOP, FOOT], tangential=CosineFeatures(BULB, waves=40), constraints=[implicit.Volume()], **SMALL
     ),
     "smooth": lambda: implicit.smooth(BULB, steps=2, step_size=1e-4, constraints=[implicit.Volume()], **SMALL),
     "semantic": semantic,
-    "expressibility": lambda: implicit.expressibility(BALL, BUMP, parts=2, points=100).error,
+    "expressibility": lambda: implicit.expressibility(BALL, BUMP, steps=2, points=100).error,
     "trained step": lambda: (
         implicit.trained_rigid_step(
             BULB, [TOP, FOOT], iterations=5, points=50, tangential=CosineFeatures(BULB, waves=40)

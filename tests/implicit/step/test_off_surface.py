@@ -87,7 +87,7 @@ def test_a_large_network_at_few_points_is_solved_among_the_points():
         level = float(module(0.5 * normalize(torch.randn(500, 3))).median())
     field = Field(module, level=level)
     bump = Handle(Ball((0.0, 0.5, 0.0), 0.3), Along(0.01))
-    edit = geometric_edit(field, bump, parts=1, points=300, resolution=24)
+    edit = geometric_edit(field, bump, steps=1, points=300, resolution=24)
     assert len(field.theta) > DENSE_LIMIT
     assert edit.history[0]["method"] == "dual"
 
