@@ -21,8 +21,8 @@ from implicit import families, shapes
 # Kinds of work, by the files and names of the functions whose own time counts; what is in none of them is the rest.
 KINDS = {
     "network": r"models/|torch\.(sin|cos|tanh)|_nn\.|run_backward|functorch|autograd|nn/modules",
-    "products, factors": r"cholesky|superlu|SuperLU|cholespy|add_gram|_of_lower|_linalg|einsum|eigh|\.mm'|"
-    r"/factors\.py:(of|solve)|/deformation\.py:strain_rows|/arap\.py:(?!_energy)",
+    "products, factors": r"cholesky|superlu|SuperLU|cholespy|symmetric\.py|_linalg|einsum|eigh|\.mm'|"
+    r"/factors/\w+\.py:(of|solve)|/deformation\.py:strain_rows|/arap\.py:(?!_energy)",
     "marching cubes": r"_marching_cubes",
     "numbers from text": r"meshref/formats|'(str|bytes|list)' objects|numpy\.array",
 }

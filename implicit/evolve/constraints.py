@@ -19,7 +19,7 @@ from implicit.field.field import Field
 from implicit.sensitivity.boundary_sensitivity import adjoint
 from implicit.sensitivity.shape_functionals import Functional, require_functional
 from implicit.step.deformation import DeformationSpace
-from implicit.step.least_squares import LeastSquares, Rows
+from implicit.step.least_squares import Factorised, Rows
 from implicit.surface.extraction import require_resolution
 from implicit.surface.quadrature import MeshedSample, SurfaceSample, meshed_quadrature
 from implicit.surface.sampling import subsample
@@ -176,7 +176,7 @@ class Guard:
         self,
         field: Field,
         x: Float[Tensor, " n"],
-        system: LeastSquares,
+        system: Factorised,
         space: DeformationSpace,
         *,
         fine: bool = False,

@@ -24,7 +24,7 @@ from implicit.field.field import Field
 from implicit.sensitivity.shape_functionals import Functional
 from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import NormalTarget
-from implicit.step.least_squares import LeastSquares, Solution, SolveStatus
+from implicit.step.least_squares import Factorised, LeastSquares, Solution, SolveStatus
 from implicit.step.problem import Operation, Row, State, StepProblem, assemble, predicted_way
 from implicit.surface.projection import newton_to_surface, require_on_surface
 from implicit.surface.quadrature import SurfaceSample
@@ -117,7 +117,7 @@ def evolve(
 
 def first_solve(
     field: Field, operation: Operation, start: SurfaceSample, resolution: int = 48
-) -> tuple[LeastSquares, Solution] | EditStatus:
+) -> tuple[Factorised, Solution] | EditStatus:
     """Solve the first step of an operation at the damping that its linearity allows, and do not take it."""
     guard = Guard(field, (), Holding(resolution=resolution), always=False)
     return _Loop(field, operation, guard, changing=False).solve(State(field, 0, start.points, None))
@@ -136,6 +136,12 @@ class _Trial:
     reach: float
     solves: int
 
+    @property
+    def factorised(self) -> Factorised:
+        """What solved it; a failed solve makes no trial."""
+        assert self.solution.factorised is not None
+        return self.solution.factorised
+
 
 class _Loop:
     """One step of an operation after the other."""
@@ -143,18 +149,18 @@ class _Loop:
     def __init__(self, field: Field, operation: Operation, guard: Guard, changing: bool) -> None:
         self._operation, self._guard, self._changing = operation, guard, changing
         self._trust = Trust(field.dtype)
-        self._last: tuple[LeastSquares, DeformationSpace] | None = None
+        self._last: tuple[Factorised, DeformationSpace] | None = None
         self._topology: Topology | None = None
         if changing:
             self._topology = self._pieces(field)
         self._found: Topology | None = None
 
-    def solve(self, state: State) -> tuple[LeastSquares, Solution] | EditStatus:
+    def solve(self, state: State) -> tuple[Factorised, Solution] | EditStatus:
         """A step's least squares, at the damping that its linearity allows; it is not taken."""
         problem = self._operation.step(state)
         system = assemble(problem)
         trial = self._trial(state, problem, system, None, state.points)
-        return trial if isinstance(trial, EditStatus) else (system, trial.solution)
+        return trial if isinstance(trial, EditStatus) else (trial.factorised, trial.solution)
 
     def take(self, state: State, carried: Tensor) -> tuple[Field, Tensor, Row] | EditStatus:
         """One step: the new field, the carried points on it, and the record; or why it was not taken."""
@@ -181,7 +187,7 @@ class _Loop:
                 part = self._undivided(field, x, space)
                 x = part * x
             if guard.hard:
-                x = guard.restore(field, x, system, space, looked=self._changing)
+                x = guard.restore(field, x, trial.factorised, space, looked=self._changing)
                 if not bool(torch.isfinite(x).all()):
                     return EditStatus.NOT_FINITE
             elif guard.surface is not None and not self._changing:
@@ -199,7 +205,7 @@ class _Loop:
             arrived_at[~arrived] = _nearest(guard.sample.points, arrived_at[~arrived])
         elif float((~arrived).double().mean()) > 0.02:
             return EditStatus.SURFACE_LOST
-        self._last = system, space
+        self._last = trial.factorised, space
         missed, size = miss(trial.way, trial.arrived_at - _probed(problem, carried), trial.arrived)
         solution = trial.solution
         row = {
