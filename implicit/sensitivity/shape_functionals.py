@@ -53,8 +53,10 @@ class Functional(ABC):
         require_choice("bound", self.bound, get_args(Bound))
 
     def __repr__(self) -> str:
-        default = [] if self.target is None else [f"target={self.target:g}"]
-        held = [*default, *([] if self.bound == "equal" else [f"bound={self.bound!r}"])]
+        target, bound = getattr(self, "target", None), getattr(self, "bound", "equal")  # a user's class may lack them
+        held = [] if target is None else [f"target={target:g}"]
+        if bound != "equal":
+            held.append(f"bound={bound!r}")
         return f"{type(self).__name__}({', '.join([*self._arguments(), *held])})"
 
     def _arguments(self) -> list[str]:
