@@ -82,19 +82,40 @@ def surface_distance(
 
 
 def chamfer(V1: ArrayLike, F1: ArrayLike, V2: ArrayLike, F2: ArrayLike, n: int = 20_000, seed: int = 0) -> float:
-    """Return the mean distance between two surfaces (not squared), the mean of both ways; see surface_distance."""
+    """Return the mean distance between two surfaces (not squared), the mean of both ways.
+
+    Args:
+        V1, F1, V2, F2, n, seed: See surface_distance.
+
+    Raises:
+        MeshError: See surface_distance.
+    """
     return surface_distance(V1, F1, V2, F2, n, seed).chamfer
 
 
 def hausdorff(V1: ArrayLike, F1: ArrayLike, V2: ArrayLike, F2: ArrayLike, n: int = 20_000, seed: int = 0) -> float:
-    """Return the largest distance between two surfaces over samples and vertices, both ways; see surface_distance."""
+    """Return the largest distance between two surfaces over samples and vertices, both ways.
+
+    Args:
+        V1, F1, V2, F2, n, seed: See surface_distance.
+
+    Raises:
+        MeshError: See surface_distance.
+    """
     return surface_distance(V1, F1, V2, F2, n, seed).hausdorff
 
 
 def normal_consistency(
     V1: ArrayLike, F1: ArrayLike, V2: ArrayLike, F2: ArrayLike, n: int = 20_000, seed: int = 0
 ) -> float:
-    """Return the mean cosine of the normals of two surfaces at nearest points, 1 if alike; see surface_distance."""
+    """Return the mean cosine of the normals of two surfaces at nearest points, 1 where they agree.
+
+    Args:
+        V1, F1, V2, F2, n, seed: See surface_distance.
+
+    Raises:
+        MeshError: See surface_distance.
+    """
     return surface_distance(V1, F1, V2, F2, n, seed).normal_consistency
 
 

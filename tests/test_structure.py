@@ -26,8 +26,8 @@ FORBIDDEN = {
 # The wings, from the ground up: no import runs to one that comes later. What is new in a package takes its place here.
 ORDER = {
     "implicit": [
-        "arguments", "renamed", "files", "data", "field", "models", "shapes", "surface", "sensitivity", "step", "evolve",
-        "edits", "fitting", "families", "__init__",
+        "arguments", "renamed", "files", "data", "field", "models", "shapes", "surface", "sensitivity", "step",
+        "evolve", "edits", "fitting", "families", "__init__",
     ],
     "compare": [
         "errors", "files", "cases", "operations", "fitting", "runs", "reports", "studies", "paper", "commands",
