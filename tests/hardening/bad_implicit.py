@@ -497,7 +497,7 @@ def _of_edits() -> Iterator[BadCase]:
     yield from refusals("smooth", "where", [("a word", "top"), ("a number", 3)], _smooth("where"))
     yield from refusals("smooth", "until", [("a word", "round"), ("a number", 3)], _smooth("until"))
     yield from refusals("smooth", "holding", [("a word", "rows")], _smooth("holding"))
-    yield from refusals("smooth", "off", not_negatives(), _smooth("off"))
+    yield from refusals("smooth", "off_surface_strength", not_negatives(), _smooth("off_surface_strength"))
     yield from refusals("smooth", "restore", not_negatives(), _smooth("restore"))
     yield from refusals("smooth", "directions", counts(), _smooth("directions"))
     yield from refusals(
