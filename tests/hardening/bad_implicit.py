@@ -413,9 +413,11 @@ def _of_handles() -> Iterator[BadCase]:
         ("above one", lambda x: 2 + x[:, 0]),
         ("NaN", lambda x: x[:, 0] * np.nan),
         ("of nothing", lambda x: None),
-        ("off the surface", implicit.Ball((5, 5, 5), 0.1)),
     ]
     yield from refusals("Handle", "region", regions, lambda x: edit(implicit.Handle(x, (0, 0, 1))))
+    away: list[Bad] = [("off the surface", implicit.Ball((5, 5, 5), 0.1))]
+    missed = ("No point of the surface lies in the region of handles[0]", "move or widen the region")
+    yield from refusals("Handle", "region", away, lambda x: edit(implicit.Handle(x, (0, 0, 1))), *missed)
     handles: list[Bad] = [
         ("none", []),
         ("None", None),
@@ -495,7 +497,7 @@ def _of_edits() -> Iterator[BadCase]:
     yield from refusals("smooth", "where", [("a word", "top"), ("a number", 3)], _smooth("where"))
     yield from refusals("smooth", "until", [("a word", "round"), ("a number", 3)], _smooth("until"))
     yield from refusals("smooth", "holding", [("a word", "rows")], _smooth("holding"))
-    yield from refusals("smooth", "off", not_negatives(), _smooth("off"))
+    yield from refusals("smooth", "off_surface_strength", not_negatives(), _smooth("off_surface_strength"))
     yield from refusals("smooth", "restore", not_negatives(), _smooth("restore"))
     yield from refusals("smooth", "directions", counts(), _smooth("directions"))
     yield from refusals(
