@@ -17,6 +17,7 @@ from torch import Tensor
 
 from implicit.edits.targets import SummedTargets
 from implicit.field.field import Field
+from implicit.sensitivity.frame import tangential_component
 from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import Energy, NormalTarget
 from implicit.step.off_surface import off_surface
@@ -113,7 +114,7 @@ class Displacement:
 
         def slide(carried: Tensor, normals: Tensor) -> Tensor:
             # A prescribed point follows its whole vector; the field sees only the part along the normal.
-            return ahead - normals * (normals * ahead).sum(dim=1, keepdim=True)
+            return tangential_component(ahead, normals)
 
         energies: list[Energy] = [energy]
         if self._off_surface > 0:
