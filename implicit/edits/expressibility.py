@@ -19,7 +19,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.arguments import require_positive, require_whole
-from implicit.edits.geometric_parts import OFF_SURFACE_STRENGTH, Displacement, Splitting
+from implicit.edits.geometric_parts import OFF_SURFACE_STRENGTH, GeometricOperation, PartSchedule
 from implicit.edits.handles import Handle
 from implicit.edits.targets import Goal, Rest, checked_handles
 from implicit.evolve.edit import REACHED_SHARE, EditStatus, require_options
@@ -126,8 +126,8 @@ def expressibility(
 
     sample = sample_surface(field, points, seed=seed)
     goal_of(sample.points, sample.normals).require_points_in_each_region()
-    splitting = Splitting(parts, 0.0)
-    operation = Displacement(field, goal_of, sample, splitting, damping, off_surface_strength, None, seed)
+    schedule = PartSchedule.of(parts)
+    operation = GeometricOperation(field, goal_of, sample, schedule, damping, off_surface_strength, None, seed)
     others = sample_surface(field, points, seed=seed + 1)
     wanted = goal_of(others.points, others.normals).wanted()
     target = (wanted * others.normals).sum(dim=1)

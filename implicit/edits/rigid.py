@@ -25,16 +25,16 @@ from implicit.edits.handles import Handle
 from implicit.edits.rigid_placement import Placement
 from implicit.edits.targets import checked_handles
 from implicit.evolve.constraints import checked_constraints
-from implicit.evolve.edit import Edit, Progress, require_options
-from implicit.evolve.evidence import with_evidence
+from implicit.evolve.edit import Edit, EditStatus, Progress, require_options, with_evidence
 from implicit.evolve.evolve import evolve
+from implicit.evolve.operation import Outcome, State, Taken
 from implicit.field.field import Field, require_field
 from implicit.sensitivity.closed_form import is_plain
 from implicit.sensitivity.shape_functionals import Area, Functional, Volume
 from implicit.step.deformation import DeformationSpace, spanned
 from implicit.step.energies import Energy, Killing, VectorTarget
 from implicit.step.off_surface import off_surface
-from implicit.step.problem import Row, State, StepProblem
+from implicit.step.problem import DampingRule, Row, StepProblem
 from implicit.step.tangential_basis import CosineFeatures, TangentialModel
 from implicit.surface.quadrature import SurfaceSample
 from implicit.surface.sampling import carrying_points
@@ -204,6 +204,8 @@ def prepare(
 class RigidOperation:
     """What the steps of a rigid edit minimise, for the loop."""
 
+    columns = ()
+
     def __init__(
         self, handles: list[Handle], sample: SurfaceSample, settings: RigidSettings, tangential: TangentialModel
     ) -> None:
@@ -267,15 +269,16 @@ class RigidOperation:
             "points or more, or fewer waves.",
         )
 
-    def step(self, state: State) -> StepProblem:
+    def step(self, state: State[None]) -> StepProblem:
+        """Return the problem of this step."""
         held, settings = self.held, self._settings
         target = (self._path((state.step + 1) / settings.steps) - state.points)[held]
         reach = VectorTarget(
             state.points[held], target, settings.alpha * (self._sample.weights * self._total.clamp(max=1))[held]
         )
         strain = Killing(state.points, self._sample.weights, settings.bending, settings.thickness)
-        way = float(target.norm(dim=1).max()) / (SMALL * state.field.size)
-        damping = DAMPING * min(max(way, LEAST), 1.0)
+        largest = float(target.norm(dim=1).max()) / (SMALL * state.field.size)
+        damping = DAMPING * min(max(largest, LEAST), 1.0)
         energies: list[Energy] = [strain, reach]
         here = SurfaceSample(state.points, state.field.normal(state.points), self._sample.weights)
         strength = settings.off_surface_strength
@@ -287,15 +290,21 @@ class RigidOperation:
         return StepProblem(
             DeformationSpace(state.field, self._tangential, directions),
             energies,
-            settings.damping,
-            first_damping=damping,
-            least_damping=damping,
-            allowed_miss=0.3,  # for the surface settles where the step sends it
-            settle=self._sample.weights,
+            # A large error will do, for the surface is brought to where the step sends it.
+            DampingRule(settings.damping, first=damping, least=damping, allowed_error=0.3),
+            correction_weights=self._sample.weights,
         )
 
-    def finished(self, state: State, history: Sequence[Row]) -> bool:
-        return False
+    def start(self, field: Field, points: Tensor) -> None:
+        """Return no memory: the steps need none."""
+
+    def finished(self, state: State[None], history: Sequence[Row]) -> EditStatus | None:
+        """Return that the edit goes on, up to its last step."""
+        return None
+
+    def taken(self, state: State[None], taken: Taken) -> Outcome[None]:
+        """Return nothing to keep or to record."""
+        return Outcome(None)
 
 
 def _combinations(parameters: int) -> int | None:
