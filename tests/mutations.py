@@ -205,7 +205,7 @@ IMPLICIT = [
      "evolve/edit::the_error_field_of_a_ball_is_its_missing_radius"),
     ("order of the facts in a status", "evolve/edit",
      "if ended is EditStatus.DONE and more_pieces:", "if more_pieces:",
-     "evolve/edit::facts_may_be_told_one_after_the_other"),
+     "evolve/edit::the_facts_decide_the_status"),
     ("motion along the surface in a prediction", "step/problem",
      "displacement[: len(along)] + along", "displacement[: len(along)] - along",
      "step/problem::tangential_motion_adds_to_that_of_the_space"),

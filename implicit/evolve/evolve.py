@@ -243,6 +243,7 @@ class Loop(Generic[Memory]):
             predicted, projection = _carried(state, problem, trial, moved, edited)
             tracked = self._found_again(projection, moved.measured)
 
+        # What the operation makes of it, and the record
         after = replace(
             state,
             field=edited,
@@ -301,7 +302,7 @@ class Loop(Generic[Memory]):
         )
 
     def _corrected(self, state: State[Memory], problem: StepProblem, trial: Trial) -> Moved:
-        """Return the step whose surface goes where the linear model sends it, or the part of it that divides nothing."""
+        """Return the step that goes where the linear model sends it, or the part of that which divides nothing."""
         x = trial.x
         if problem.correction_weights is not None:
             x = x + normal_correction(problem, trial, state.points, problem.correction_weights)

@@ -24,6 +24,7 @@ FAILURES = [
         (EditStatus.DONE, {"reached": False}, EditStatus.NOT_REACHED),
         (EditStatus.REACHED, {"reached": False}, EditStatus.NOT_REACHED),
         (EditStatus.DONE, {"more_pieces": True}, EditStatus.STRAY_PIECES),
+        (EditStatus.REACHED, {"more_pieces": True}, EditStatus.REACHED),
         (EditStatus.DONE, {"reached": False, "more_pieces": True}, EditStatus.NOT_REACHED),
         (EditStatus.NOT_REACHED, {"more_pieces": True}, EditStatus.NOT_REACHED),
     ],
