@@ -199,7 +199,7 @@ IMPLICIT = [
      "evolve/evolve::a_ball_grows_by_what_each_step_asks_and_its_points_ride_along"),
     ("restoration at the end of a step", "evolve/evolve",
      "return replace(moved, x=x, measured=measured)", "return replace(moved, measured=measured)",
-     "evolve/evolve::a_ball_whose_volume_is_held_does_not_grow"),
+     "evolve/evolve::a_volume_is_restored_within_each_step"),
     ("sign of the error field", "evolve/edit",
      "gap = ((surface - goal) * facing)", "gap = ((goal - surface) * facing)",
      "evolve/edit::the_error_field_of_a_ball_is_its_missing_radius"),
