@@ -20,12 +20,12 @@ from numpy import ndarray
 
 import implicit
 import meshref
+from compare.cases.subject import Subject
 from compare.paper.findings import Finding
 from compare.paper.letters import Letters
 from compare.paper.panels import colour_bar, panel, surface_view
 from compare.paper.request import Request
 from compare.reports.views import Camera
-from compare.runs.subject import Subject
 from implicit import Along, Ball, Edit, HalfSpace, Handle, Region, SurfaceSample
 
 # Middles of the bumps in the field's coordinates, where the surface, moved out by a tenth of the shape along its

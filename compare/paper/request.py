@@ -7,7 +7,8 @@ from dataclasses import dataclass, field as default
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from compare.cases.case import Case, content_of
+from compare.cases.case import content_of
+from compare.cases.default_cases import case_of_subject
 from compare.errors import InputError
 from compare.runs.subject import Subject, check_shape, prepare_subject
 
@@ -65,7 +66,7 @@ class Request:
         settings: dict[str, Any] = {"vertices": 1200, "resolution": 48} if self.quick else {}
         if vertices is not None:
             settings["vertices"] = vertices
-        case = Case(shape, "smooth", parameters={"fit": fit} if fit else {}, seed=self.seed, **settings)
+        case = case_of_subject(shape, fit, seed=self.seed, **settings)
         try:
             return prepare_subject(case, folder=self.folder, progress=self.tell)
         except (ValueError, OSError) as error:

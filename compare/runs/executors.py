@@ -83,11 +83,6 @@ class Workers(Executor):
         else:
             self.stop()
 
-    @property
-    def pids(self) -> list[int]:
-        """The processes that run now."""
-        return [worker.pid for worker in self._started if worker.alive]
-
     def _do(self, task: Callable[..., Any], args: tuple[Any, ...], options: dict[str, Any]) -> Any:
         content = pickle.dumps((task, args, options))
         worker = self._idle.get()
@@ -131,15 +126,6 @@ class _Worker:
         with _one_thread():
             self._process.start()
         other.close()  # the process has it now, and only the process: when it dies, this end says so
-
-    @property
-    def pid(self) -> int:
-        assert self._process.pid is not None
-        return self._process.pid
-
-    @property
-    def alive(self) -> bool:
-        return self._process.is_alive()
 
     @property
     def exit_code(self) -> int | None:
