@@ -71,13 +71,8 @@ class Geometric(Operation):
         from compare.operations.neural import run_edit
 
         handles = [spec.build() for spec in case.handles]
-        return run_edit(
-            lambda **options: implicit.geometric_edit(subject.field, handles, rest="fixed", **options),
-            case,
-            subject,
-            "boundary sensitivity",
-            progress,
-        )
+        method = "boundary sensitivity"
+        return run_edit(implicit.geometric_edit, case, subject, method, progress, handles=handles, rest="fixed")
 
     def mesh_editors(self) -> Mapping[str, Editor]:
         """Return the targets themselves, and a biharmonic deformation that finds the falloff by itself."""

@@ -25,20 +25,29 @@ _FORWARD_MODE = Lock()
 
 
 def run_edit(
-    edit: Callable[..., Edit], case: Case, subject: Subject, method: str, progress: Progress | None = None
+    editor: Callable[..., Edit],
+    case: Case,
+    subject: Subject,
+    method: str,
+    progress: Progress | None = None,
+    **arguments: Any,
 ) -> Outcome:
     """Edit the field of a subject, carry the common mesh along, and return what came of it.
 
     Args:
-        edit: Called with what every editor of `implicit` takes (track, progress, seed) and the case's own options.
+        editor: Of `implicit`; called with the field, the arguments, what every editor takes (track, progress, seed),
+            and the case's own options.
         case: Its options are those under "implicit" in its parameters.
         subject: What is edited.
         method: The method's name, for a reader.
         progress: Told of each step.
+        arguments: Of the editor, beside the case's options.
 
     Raises:
+        TypeError: A case's option is none that the editor takes, or one that it is given anyway.
         RuntimeError: The edit lost vertices of the common mesh.
     """
+    options = case.parameters.get("implicit", {})
     common: dict[str, Any] = {
         "track": torch.from_numpy(subject.V),
         "progress": teller(progress, f"{case.operation}, neural field"),
@@ -46,7 +55,7 @@ def run_edit(
     }
     with _FORWARD_MODE:
         start = perf_counter()
-        edited = edit(**common, **case.parameters.get("implicit", {}))
+        edited = editor(subject.field, **arguments, **common, **options)
         seconds = perf_counter() - start
     if edited.tracked is None:
         raise RuntimeError("The edit did not carry the vertices of the common mesh along.")

@@ -69,9 +69,7 @@ class Rigid(Operation):
         from compare.operations.neural import run_edit
 
         handles = [spec.build() for spec in case.handles]
-        return run_edit(
-            lambda **options: implicit.rigid_edit(subject.field, handles, **options), case, subject, "AKVF", progress
-        )
+        return run_edit(implicit.rigid_edit, case, subject, "AKVF", progress, handles=handles)
 
     def mesh_editors(self) -> Mapping[str, Editor]:
         """Return the linear least squares of the mesh, and as-rigid-as-possible deformation."""

@@ -52,15 +52,8 @@ class Smooth(Operation):
         import implicit
         from compare.operations.neural import run_edit
 
-        return run_edit(
-            lambda **options: implicit.smooth(
-                subject.field, constraints=(implicit.Volume(),), **_steps(case), **options
-            ),
-            case,
-            subject,
-            "curvature flow, volume held",
-            progress,
-        )
+        volume, method = (implicit.Volume(),), "curvature flow, volume held"
+        return run_edit(implicit.smooth, case, subject, method, progress, constraints=volume, **_steps(case))
 
     def mesh_editors(self) -> Mapping[str, Editor]:
         """Return the flow of the mesh."""

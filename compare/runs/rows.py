@@ -125,7 +125,7 @@ class SideRow(Row):
     def __init__(self, /, **numbers: Any) -> None:
         super().__init__(**numbers)
         if "curve" in self:
-            object.__setattr__(self, "curve", tuple(CurveRow.from_row(row) for row in self.curve))
+            object.__setattr__(self, "curve", [CurveRow.from_row(row) for row in self.curve])
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
