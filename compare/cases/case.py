@@ -70,7 +70,8 @@ class Case:
 
     def __repr__(self) -> str:
         """Return what the case is, with its handles counted and its settings named, in one line."""
-        handles = f", {len(self.handles)} handles" if self.handles else ""
+        count = len(self.handles)
+        handles = f", {count} handle{'s' * (count > 1)}" if count else ""
         settings = {"vertices": self.vertices, "resolution": self.resolution, "seed": self.seed} | dict(self.parameters)
         return f"Case({self.shape}, {self.operation}{handles}, {', '.join(f'{k}={v}' for k, v in settings.items())})"
 

@@ -117,7 +117,7 @@ def _cases(command: Run, folder: Path, executor: Executor | None, tell: Progress
 
 
 def _surface(case: Case, folder: Path, progress: Progress | None = None) -> tuple[ndarray, ndarray]:
-    """The vertices and normals of the common mesh of a case, whose subject is kept in the folder."""
+    """Return the vertices and normals of the common mesh of a case, whose subject is kept in the folder."""
     subject = prepare_subject(case, folder=folder, progress=progress)
     return subject.V, subject.N
 

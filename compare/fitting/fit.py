@@ -110,7 +110,7 @@ def fit_mesh(
     checkpoint: str | PathLike[str] | None = None,
     **training: Any,
 ) -> tuple[Field, FitReport]:
-    """A neural field whose zero set is the mesh, and how good it is.
+    """Return a neural field whose zero set is the mesh, and how good it is.
 
     Args:
         V: Vertices (n, 3), in any units and anywhere.

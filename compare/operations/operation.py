@@ -42,7 +42,7 @@ class Target:
 
     @property
     def largest(self) -> float:
-        """The largest target displacement, the scale of relative errors; 0 if there is none."""
+        """Length of the largest target displacement, the scale of relative errors; 0 if there is none."""
         return float(np.linalg.norm(self.displacement, axis=1).max(initial=0.0))
 
 

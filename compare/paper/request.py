@@ -33,7 +33,7 @@ class Request:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What decides the numbers, as plain data; of the meshes, their content."""
+        """Return what decides the numbers, as plain data; of the meshes, their content."""
         meshes = {Path(path).name: content_of(path) for path in self.shapes(*MESHES)}
         return {"quick": self.quick, "seed": self.seed, "meshes": meshes}
 
@@ -52,14 +52,14 @@ class Request:
         return [sentence for path in paths for sentence in check_shape(path)]
 
     def shapes(self, *files: str, bundled: Sequence[str] = ()) -> list[str]:
-        """The bundled shapes, and those of the files that are in the folder of meshes, as names of shapes."""
+        """Return the bundled shapes, and those of the files that are in the folder of meshes, as names of shapes."""
         found = (
             [] if self.meshes is None else [str(self.meshes / name) for name in files if (self.meshes / name).is_file()]
         )
         return [*bundled, *found]
 
     def subject(self, shape: str, *, vertices: int | None = None, activation: str | None = None) -> Subject:
-        """A shape as a field and a mesh; a fit is kept in the folder and read back when asked for again."""
+        """Return a shape as a field and a mesh; a fit is kept in the folder and read back the next time."""
         fit: dict[str, Any] = {"steps": 600} if self.quick else {}
         if activation is not None:
             fit["activation"] = activation

@@ -71,7 +71,7 @@ class _Scene:
         return 4 * strain(self.subject, self.outcomes[side].displacement) ** 2
 
     def energies(self, side: str) -> dict[str, Any]:
-        """All numbers of one side, in the user's units."""
+        """Return all numbers of one side, in the user's units."""
         V, F, D = self.subject.V, self.subject.F, self.outcomes[side].displacement
         row = measure(self.case, self.subject, self.target, self.outcomes[side], strain(self.subject, D))
         return {**row, "arap": meshref.arap_energy(V, F, V + D) * self.subject.scale**2}
@@ -144,7 +144,7 @@ def _small_step(shape: str, subject: Subject, name: str, request: Request) -> li
 
 
 def _is_the_papers(shape: str) -> bool:
-    """Whether the paper has numbers for the shape: the bundled cactus, which is no file, is another than its own."""
+    """Return whether the paper has numbers for the shape; the bundled cactus, no file, is another than its own."""
     return Path(shape).stem in PAPER and bool(Path(shape).suffix)
 
 

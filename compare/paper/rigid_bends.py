@@ -58,16 +58,16 @@ class _Bend:
         return float(np.ptp(self.subject.V, axis=0).max())
 
     def distance(self, edit: implicit.Edit) -> float:
-        """Two-sided Hausdorff distance of the edited surface and the mesh's, over the box."""
+        """Return the two-sided Hausdorff distance of the edited surface and the mesh's, over the box."""
         V, F = implicit.extract_mesh(edit.field, 128)
         return self.from_arap(V, F)
 
     def from_arap(self, V: Float[ndarray, "k 3"], F: Int[ndarray, "m 3"]) -> float:
-        """The same of any mesh."""
+        """Return the two-sided Hausdorff distance of any mesh and the mesh's, over the box."""
         return meshref.hausdorff(V, F, self.arap, self.subject.F) / self.box
 
     def volume_change(self, edit: implicit.Edit) -> float:
-        """Of the field itself, relative."""
+        """Return the relative change of the volume of the field itself."""
         before, after = (
             implicit.integrate(field, implicit.Volume(), 96).value for field in (self.subject.field, edit.field)
         )
@@ -88,7 +88,7 @@ def draw(request: Request) -> list[Finding]:
 
 
 def turning_handles(subject: Subject, what: str, degrees: float) -> tuple[HandleSpec, ...]:
-    """One end of the longest axis held, the other turned about that axis, or bent so that the axis becomes an arc."""
+    """Return one end of the longest axis held, the other turned about that axis, or bent so that it becomes an arc."""
     low, high = subject.V.min(axis=0), subject.V.max(axis=0)
     _, wide, along = np.argsort(high - low)
     axes, angle = np.eye(3), degrees * pi / 180
@@ -124,7 +124,7 @@ def arap_along_the_path(subject: Subject, case: Case, steps: int) -> Float[ndarr
 
 
 def killing_along_the_path(subject: Subject, case: Case, steps: int) -> Float[ndarray, "n 3"]:
-    """A Killing least squares for each part of the path, on the mesh as the last part left it."""
+    """Solve a Killing least squares for each part of the path, on the mesh as the last part left it."""
     held = np.flatnonzero(target_motion(case, subject).at)
     U = subject.V
     for step in range(1, steps + 1):
@@ -134,7 +134,7 @@ def killing_along_the_path(subject: Subject, case: Case, steps: int) -> Float[nd
 
 
 def _path(subject: Subject, case: Case, fraction: float) -> Float[ndarray, "n 3"]:
-    """The vertices, those that handles hold where they are to be after the fraction of the way."""
+    """Return the vertices, those that handles hold where they are to be after the fraction of the way."""
     points, normals = torch.from_numpy(subject.V), torch.from_numpy(subject.N)
     goal = subject.V.copy()
     for spec in case.handles:

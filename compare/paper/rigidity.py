@@ -97,7 +97,7 @@ def rigidity(shape: str, subject: Subject, *, points: int = POINTS, part: float 
 
 
 def pulled_case(shape: str, subject: Subject, part: float = PART) -> Case:
-    """The pull of `default_cases`, a part as long."""
+    """Return the pull of `default_cases`, a part as long."""
     (case,) = default_cases(shape, subject.V, subject.N, operations=("rigid",))
     return pulled_less(case, part)
 
@@ -105,7 +105,7 @@ def pulled_case(shape: str, subject: Subject, part: float = PART) -> Case:
 def neural_step(
     case: Case, subject: Subject, *, points: int = POINTS, seed: int = 0
 ) -> tuple[Float[ndarray, "n 3"], float]:
-    """One step of the case: how it moves the common mesh, and its seconds without those of sampling."""
+    """Return one step of the case: how it moves the common mesh, and its seconds without those of sampling."""
     handles = [spec.build() for spec in case.handles]
     sample = implicit.sample_surface(subject.field, points, "farthest", seed=seed)
     edit = implicit.rigid_edit(subject.field, handles, points=sample, track=torch.from_numpy(subject.V), seed=seed)
@@ -116,7 +116,7 @@ def neural_step(
 
 
 def mesh_seconds(case: Case, subject: Subject, vertices: int) -> Timing:
-    """The mesh Killing least squares of the case on a mesh of the same surface."""
+    """Return the mesh Killing least squares of the case on a mesh of the same surface."""
     V, F = mesh_of(subject.field, vertices)
     finer = replace(subject, V=V, F=F, N=subject.field.normal(torch.from_numpy(V)).numpy())
     target = target_motion(case, finer)
@@ -126,7 +126,7 @@ def mesh_seconds(case: Case, subject: Subject, vertices: int) -> Timing:
 
 
 def mesh_of(field: implicit.Field, vertices: int) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"]]:
-    """A mesh of the field's surface with about as many vertices, by splitting where remeshing would take long."""
+    """Return a mesh of the field's surface with about as many vertices, by splitting where remeshing takes long."""
     splits = 0
     while vertices / 4**splits > REMESHED:
         splits += 1

@@ -27,7 +27,7 @@ PAPER = {"bunny": (320.0, 254.0), "cactus": (6.0, 11.0)}
 
 
 def rigid_scene(shape: str, subject: Subject, *, quick: bool = False, **settings: Any) -> Case:
-    """The rigid edit that belongs to a shape.
+    """Return the rigid edit that belongs to a shape.
 
     Args:
         shape: As for Case; a file is known by its name.
@@ -44,7 +44,7 @@ def rigid_scene(shape: str, subject: Subject, *, quick: bool = False, **settings
 
 
 def pulled_less(case: Case, part: float) -> Case:
-    """The same scene with its vectors a part as long, for motions so small that both editors are linear.
+    """Return the same scene with its vectors a part as long, for motions so small that both editors are linear.
 
     Raises:
         ValueError: A handle moves otherwise than by a vector.

@@ -49,7 +49,7 @@ def check_shape(shape: str) -> list[str]:
 
 
 def _require_file(shape: str) -> str | None:
-    """The ending of the file that holds a shape, None for a bundled one, or a refusal of what is neither."""
+    """Return the ending of the file that holds a shape, None for a bundled one; refuse what is neither."""
     path = Path(shape)
     if shape in BUNDLED:
         return None
@@ -69,7 +69,7 @@ def _require_file(shape: str) -> str | None:
 
 
 def load_mesh(path: str) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"], list[str]]:
-    """The closed, outward mesh of one body in a file, and what was mended, in sentences.
+    """Return the closed, outward mesh of one body in a file, and what was mended, in sentences.
 
     Raises:
         InputError: It cannot be read or mended, or holds several bodies.
@@ -90,7 +90,7 @@ def load_mesh(path: str) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"], li
 
 
 def prepare_subject(case: Case, *, folder: Path | None = None, progress: Progress | None = None) -> Subject:
-    """The subject of a case; with a folder, kept there and read back when another case has the same.
+    """Return the subject of a case; with a folder, kept there and read back when another case has the same.
 
     Args:
         case: Of it, the shape, the settings of the fit, the number of vertices, the resolution and the seed count.
@@ -167,7 +167,7 @@ class _Files:
 def common_mesh(
     field: Field, vertices: int, resolution: int
 ) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"], list[str]]:
-    """The field's surface as even triangles with about the number of vertices asked for, all on f = 0.
+    """Return the field's surface as even triangles with about that number of vertices, all on f = 0.
 
     Returns:
         The largest body of the surface, and a sentence if there are others.
