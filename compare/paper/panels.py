@@ -30,7 +30,7 @@ def camera_of(shape: str) -> Camera:
 def surface_view(
     field: implicit.Field, values: Callable[[ndarray], ndarray] | None = None, resolution: int = 96
 ) -> View:
-    """Return a field's surface with a number a vertex, or zeros; even where it is flat, for the numbers may have detail."""
+    """Return a field's surface with a number a vertex, or zeros; even where it is flat, as numbers may have detail."""
     V, F = implicit.extract_mesh(field, resolution)
     return View(V, F, np.zeros(len(V)) if values is None else values(V))
 

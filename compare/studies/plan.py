@@ -92,7 +92,7 @@ def check_options(study: Study) -> None:
         idle = [operation for operation in study.operations if not _takes(name, operation)]
         if idle and (name in study.varied or len(idle) == len(study.operations)):
             part, _, option = name.removeprefix(f"{idle[0]}.").rpartition(".")
-            options = sorted(_options(part, idle[0]))
+            options = sorted(options_of(part, idle[0]))
             close = difflib.get_close_matches(option, options, n=1)
             hint = f" Did you mean {name.removesuffix(option)}{close[0]}?" if close else ""
             raise InputError(
@@ -106,10 +106,10 @@ def check_options(study: Study) -> None:
 
 def _takes(name: str, operation: str) -> bool:
     parts = parts_of(name, operation)
-    return parts is not None and parts[-1] in _options(".".join(parts[:-1]), operation)
+    return parts is not None and parts[-1] in options_of(".".join(parts[:-1]), operation)
 
 
-def _options(part: str, operation: str) -> set[str]:
+def options_of(part: str, operation: str) -> set[str]:
     """Return the options of the functions that stand behind a part of the settings, as far as they are plain data."""
     chosen = operation_of(operation)
     if part == "fit":

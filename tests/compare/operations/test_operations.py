@@ -1,6 +1,5 @@
 """An operation is one object: a fourth one goes through cases, runs, records, tables, studies and reports by itself."""
 
-import inspect
 from collections.abc import Mapping
 from typing import Any
 
@@ -20,7 +19,7 @@ from compare.reports.figures import draw_figures
 from compare.runs.columns import columns, error_label
 from compare.runs.records import read
 from compare.studies.curves import write_table
-from compare.studies.plan import check_options
+from compare.studies.plan import check_options, options_of
 
 RADIUS, DISTANCE = 0.6, 0.06
 
@@ -139,7 +138,7 @@ y = "lag_rms"
         check_options(find_study(str(path)))
 
 
-def test_what_no_operation_is_named_is_refused():
+def test_a_name_of_no_operation_is_refused():
     with pytest.raises(ValueError, match="operation must be one of geometric, smooth, rigid"):
         Case("spot", "swell-not")
     with pytest.raises(ValueError, match="operation must be one of geometric, smooth, rigid"):
@@ -169,9 +168,7 @@ def test_default_settings_are_options_that_the_editors_take():
         for parameters in (operation.full, operation.quick):
             assert set(parameters) - {"implicit", "mesh"} == set(operation.settings)
             for side in ("implicit", "mesh"):
-                sources = operation.option_sources()[side]
-                taken = {name for source in sources for name in inspect.signature(source).parameters}
-                assert set(parameters.get(side, {})) <= taken
+                assert set(parameters.get(side, {})) <= options_of(side, operation.name)
 
 
 def test_every_headline_is_a_column_and_every_error_has_a_meaning():
