@@ -60,8 +60,8 @@ def test_an_option_that_is_mistyped_is_told_what_was_meant(command, tmp_path):
     assert "--workers" in result.stderr
 
 
-def test_the_shell_can_complete_commands_and_options(command, tmp_path):
-    script = command("--tyro-print-completion", "bash", cwd=tmp_path)
+def test_the_shell_can_complete_commands_and_options(tmp_path):
+    script = process("--tyro-print-completion", "bash", cwd=tmp_path)
     assert script.returncode == 0
     for word in ("study", "--workers", "train-family"):
         assert word in script.stdout
