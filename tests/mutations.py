@@ -28,6 +28,7 @@ import sys
 import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import pytest
@@ -131,12 +132,14 @@ def stored() -> list[Result]:
 
 def is_known(mutation: Mutation, results: Iterable[Result]) -> Result | None:
     """Return the result of a mutation if it is among these, of the sources as they are."""
-    return next((r for r in results if dataclasses.replace(r, caught=True) == result_of(mutation, True)), None)
+    wanted = result_of(mutation, True)
+    return next((result for result in results if dataclasses.replace(result, caught=True) == wanted), None)
 
 
-def _functions(source: str) -> Iterator[tuple[str, tuple[int, int]]]:
-    """Yield the name and the span of each function and method; what is inside a function belongs to it."""
-    starts = [0]
+@lru_cache
+def _functions(source: str) -> list[tuple[str, tuple[int, int]]]:
+    """Return the name and the span of each function and method; what is inside a function belongs to it."""
+    starts, found = [0], []
     for line in source.splitlines(keepends=True):
         starts.append(starts[-1] + len(line))
     todo: list[tuple[str, ast.AST]] = [("", ast.parse(source))]
@@ -147,7 +150,8 @@ def _functions(source: str) -> Iterator[tuple[str, tuple[int, int]]]:
                 todo.append((f"{outer}{child.name}.", child))
             elif isinstance(child, ast.FunctionDef):
                 first = min([child.lineno, *(d.lineno for d in child.decorator_list)])
-                yield outer + child.name, (starts[first - 1], starts[child.end_lineno or first])
+                found.append((outer + child.name, (starts[first - 1], starts[child.end_lineno or first])))
+    return found
 
 
 def _span(source: str, function: str) -> tuple[int, int]:
