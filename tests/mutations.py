@@ -1,26 +1,42 @@
 """Break one formula at a time, a sign, a factor, a weight, and see that a test notices: python tests/mutations.py
 
 Each mutation is made in a copy of the sources, in a process of its own, and the one test named beside it is run. It is
-caught if that test fails. The table goes to docs/mutations.md with --write. Exit code 1 if one is missed.
+caught if that test fails. Exit code 1 if one is missed.
+
+    python tests/mutations.py                 all of them
+    python tests/mutations.py frame flow      those whose file, function or formula holds a word
+    python tests/mutations.py --random 3      three, drawn by the sources: the same for the same commit
+    python tests/mutations.py --write         those not run since their function or test changed; the page is made anew
+
+What was found is kept in docs/mutations.json after each of them, with hashes of the function and of the test, so a run
+that is interrupted goes on where it was, and a page that is older than the sources is known by it.
 """
 
 from __future__ import annotations
 
 import argparse
+import ast
+import dataclasses
+import hashlib
 import importlib
+import json
 import os
+import random
 import shutil
 import signal
 import sys
 import tempfile
-import time
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("implicit", "meshref", "compare")
 PAGE = ROOT / "docs" / "mutations.md"
+RESULTS = ROOT / "docs" / "mutations.json"
 SECONDS_A_TEST = 900
 
 
@@ -31,16 +47,122 @@ class Mutation:
     Attributes:
         formula: What is broken, in words.
         path: The file.
-        old: Text that occurs exactly once in it.
+        function: The function of it, `method` of a class as `Class.method`; empty where the text is in the file once.
+        old: Text that occurs exactly once in the function.
         new: What takes its place.
         test: A test file and a test of it, under tests/.
     """
 
     formula: str
     path: str
+    function: str
     old: str
     new: str
     test: str
+
+    def place(self) -> tuple[int, int]:
+        """Return where in the file the text stands."""
+        source = (ROOT / self.path).read_text()
+        start, end = _span(source, self.function) if self.function else (0, len(source))
+        times = source.count(self.old, start, end)
+        if times != 1:
+            raise LookupError(
+                f"{self.path}, {self.function or 'all of it'}, holds {self.old!r} {times} times, not once."
+            )
+        found = source.index(self.old, start, end)
+        return found, found + len(self.old)
+
+    def mutated(self) -> str:
+        """Return the source of the file with the change made."""
+        source = (ROOT / self.path).read_text()
+        start, end = self.place()
+        return source[:start] + self.new + source[end:]
+
+    def where(self) -> str:
+        """Return the function that holds the text, by name even where the row names none; empty between functions."""
+        source = (ROOT / self.path).read_text()
+        at = self.place()[0]
+        spans = [(name, start) for name, (start, end) in _functions(source) if start <= at < end]
+        return max(spans, key=lambda span: span[1])[0] if spans else ""
+
+    def hashes(self) -> tuple[str, str]:
+        """Return the hashes of the function, or of the text alone between functions, and of the test."""
+        source, function = (ROOT / self.path).read_text(), self.where()
+        start, end = _span(source, function) if function else self.place()
+        path, name = self.test.split("::")
+        tests = (ROOT / path).read_text()
+        begin, stop = _span(tests, name)
+        return _hash(source[start:end]), _hash(tests[begin:stop])
+
+
+@dataclass(frozen=True)
+class Result:
+    """How a mutation ended, and of which sources that is true.
+
+    Attributes:
+        formula, path, function, old, new, test: The mutation.
+        function_hash: Hash of the source of the function before the change.
+        test_hash: Hash of the source of the test.
+        caught: Whether the test failed.
+    """
+
+    formula: str
+    path: str
+    function: str
+    old: str
+    new: str
+    test: str
+    function_hash: str
+    test_hash: str
+    caught: bool
+
+
+def result_of(mutation: Mutation, caught: bool) -> Result:
+    """Return the result of a mutation of the sources as they are."""
+    named = dataclasses.replace(mutation, function=mutation.where())
+    return Result(
+        **dataclasses.asdict(named), **dict(zip(("function_hash", "test_hash"), mutation.hashes())), caught=caught
+    )
+
+
+def stored() -> list[Result]:
+    """Return what was found so far, of whatever sources."""
+    return [Result(**row) for row in json.loads(RESULTS.read_text())] if RESULTS.exists() else []
+
+
+def is_known(mutation: Mutation, results: Iterable[Result]) -> Result | None:
+    """Return the result of a mutation if it is among these, of the sources as they are."""
+    wanted = result_of(mutation, True)
+    return next((result for result in results if dataclasses.replace(result, caught=True) == wanted), None)
+
+
+@lru_cache
+def _functions(source: str) -> list[tuple[str, tuple[int, int]]]:
+    """Return the name and the span of each function and method; what is inside a function belongs to it."""
+    starts, found = [0], []
+    for line in source.splitlines(keepends=True):
+        starts.append(starts[-1] + len(line))
+    todo: list[tuple[str, ast.AST]] = [("", ast.parse(source))]
+    while todo:
+        outer, node = todo.pop()
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, ast.ClassDef):
+                todo.append((f"{outer}{child.name}.", child))
+            elif isinstance(child, ast.FunctionDef):
+                first = min([child.lineno, *(d.lineno for d in child.decorator_list)])
+                found.append((outer + child.name, (starts[first - 1], starts[child.end_lineno or first])))
+    return found
+
+
+def _span(source: str, function: str) -> tuple[int, int]:
+    spans = [span for name, span in _functions(source) if name == function]
+    if len(spans) != 1:
+        raise LookupError(f"There are {len(spans)} functions {function}; name one that is there once.")
+    return spans[0]
+
+
+def _hash(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _test_file(short: str) -> str:
@@ -50,13 +172,16 @@ def _test_file(short: str) -> str:
 
 
 def _of(package: str, rows: list[tuple[str, str, str, str, str]]) -> list[Mutation]:
-    """Mutations of one package, their files and tests named without folder and ending."""
+    """Return the mutations of one package, their files and tests named without folder and ending.
+
+    A row is: formula, "file" or "file::function", old text, new text, "test file::test".
+    """
     found = []
-    for formula, module, old, new, short in rows:
+    for formula, place, old, new, short in rows:
+        module, _, function = place.partition("::")
         file, name = short.split("::")
-        found.append(
-            Mutation(formula, f"{package}/{module}.py", old, new, f"tests/{package}/{_test_file(file)}::test_{name}")
-        )
+        test = f"tests/{package}/{_test_file(file)}::test_{name}"
+        found.append(Mutation(formula, f"{package}/{module}.py", function, old, new, test))
     return found
 
 
@@ -389,67 +514,128 @@ MUTATIONS = [*_of("implicit", IMPLICIT), *_of("meshref", MESHREF)]
 
 
 def main() -> int:
-    """Run all mutations, or those whose words are named."""
+    """Run all mutations, or those asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("words", nargs="*", help="only mutations whose file or formula holds one of these words")
-    parser.add_argument("--write", action="store_true", help=f"write the table to {PAGE.relative_to(ROOT)}")
+    parser.add_argument("words", nargs="*", help="only mutations whose file, function or formula holds one of these")
+    parser.add_argument("--random", type=int, metavar="N", help="so many of them, the same for the same sources")
+    parser.add_argument(
+        "--write", action="store_true", help=f"only what is not in {RESULTS.name} yet; {PAGE.name} anew"
+    )
+    parser.add_argument("--processes", type=int, default=2, help="how many to run at a time (2)")
     arguments = parser.parse_args()
-    chosen = [m for m in MUTATIONS if not arguments.words or any(w in f"{m.path} {m.formula}" for w in arguments.words)]
-    with tempfile.TemporaryDirectory() as folder:
-        tree = Path(folder) / "tree"
-        for part in ("implicit", "meshref", "compare", "tests"):
-            shutil.copytree(ROOT / part, tree / part, ignore=shutil.ignore_patterns("__pycache__"))
-        shutil.copy(ROOT / "pyproject.toml", tree)
-        _import_what_tests_need(tree)
-        for test in dict.fromkeys(mutation.test for mutation in chosen):
-            if _exit_code(test, tree) != 0:
-                raise SystemExit(f"{test} does not pass as it is, so it can tell nothing.")
-        results = [(mutation, _caught(mutation, tree)) for mutation in chosen]
-    table = _table(results)
-    missed = [mutation for mutation, caught in results if not caught]
-    print(table)
-    print(f"{len(results) - len(missed)} of {len(results)} caught.")
+    chosen = [
+        m
+        for m in MUTATIONS
+        if not arguments.words or any(w in f"{m.path} {m.where()} {m.formula}" for w in arguments.words)
+    ]
+    if arguments.random:
+        chosen = at_random(chosen, arguments.random)
+    found = stored()
     if arguments.write:
-        PAGE.write_text(_page(table, len(results), len(missed)))
+        chosen = [mutation for mutation in chosen if is_known(mutation, found) is None]
+    missed = 0
+    # Those at random are run by the suite, which runs the tests as they are as well.
+    for mutation, caught in run(chosen, arguments.processes, tests_first=not arguments.random):
+        missed += not caught
+        print(f"{'caught' if caught else 'MISSED'}  {mutation.path} {mutation.where()}: {mutation.formula}", flush=True)
+        if arguments.write:
+            found.append(result_of(mutation, caught))
+            _keep(found)
+    print(f"{len(chosen) - missed} of {len(chosen)} caught.")
+    if arguments.write:
+        current = _keep(found)
+        missed = sum(not result.caught for result in current)
+        if len(current) == len(MUTATIONS):
+            PAGE.write_text(page(current))
+        else:
+            print(f"{len(MUTATIONS) - len(current)} are still to run before {PAGE.name} can be made.")
     return 1 if missed else 0
 
 
-def _import_what_tests_need(tree: Path) -> None:
+def at_random(mutations: list[Mutation], number: int) -> list[Mutation]:
+    """Return so many of them, drawn with a hash of all sources of the packages for a seed."""
+    files = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+    seed = _hash("".join(path.read_text() for path in files))
+    print(f"seed {seed}")
+    return random.Random(seed).sample(mutations, number)
+
+
+def _keep(found: list[Result]) -> list[Result]:
+    """Write down the results that are true of the sources as they are, in the order of the list, and return them."""
+    current = [result for mutation in MUTATIONS if (result := is_known(mutation, found))]
+    half = RESULTS.with_suffix(".part")
+    half.write_text(json.dumps([dataclasses.asdict(result) for result in current], indent=1, ensure_ascii=False) + "\n")
+    half.replace(RESULTS)
+    return current
+
+
+def run(mutations: list[Mutation], processes: int, tests_first: bool) -> Iterator[tuple[Mutation, bool]]:
+    """Yield each mutation and whether it is caught, as they end; first see that the tests pass, if asked."""
+    with tempfile.TemporaryDirectory() as folder:
+        trees = [_copy_of_sources(Path(folder) / str(k)) for k in range(max(1, min(processes, len(mutations))))]
+        _import_what_tests_need()
+        tests = dict.fromkeys(mutation.test for mutation in mutations if tests_first)
+        for (_, test), code in _exit_codes([(None, test) for test in tests], trees):
+            if code != 0:
+                raise SystemExit(f"{test} does not pass as it is, so it can tell nothing: exit code {code} of pytest.")
+        for (mutation, test), code in _exit_codes([(m, m.test) for m in mutations], trees):
+            if code not in (0, 1):
+                raise SystemExit(f"{test} could not be run: exit code {code} of pytest.")
+            assert mutation is not None
+            yield mutation, code == 1
+
+
+Job = tuple[Mutation | None, str]
+
+
+def _exit_codes(jobs: list[Job], trees: list[Path]) -> Iterator[tuple[Job, int]]:
+    """Yield each job and the exit code of its test, which runs in a process of its own on a tree of its own."""
+    todo, free, running = list(reversed(jobs)), list(trees), dict[int, tuple[Job, Path]]()
+    try:
+        while todo or running:
+            while todo and free:
+                job, tree = todo.pop(), free.pop()
+                mutation, test = job
+                if mutation is not None:
+                    (tree / mutation.path).write_text(mutation.mutated())
+                running[_begin(test, tree)] = job, tree
+            process, status = os.wait()
+            job, tree = running.pop(process)
+            if job[0] is not None:
+                shutil.copy(ROOT / job[0].path, tree / job[0].path)
+            free.append(tree)
+            yield job, os.waitstatus_to_exitcode(status)
+    finally:
+        for process in running:
+            os.kill(process, signal.SIGKILL)
+            os.waitpid(process, 0)
+
+
+def _copy_of_sources(tree: Path) -> Path:
+    for part in (*PACKAGES, "tests"):
+        shutil.copytree(ROOT / part, tree / part, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", tree)
+    return tree
+
+
+def _import_what_tests_need() -> None:
     """Once, here, so that the processes that are forked off need not; nothing of the packages themselves."""
     sys.dont_write_bytecode = True
-    os.environ["PYTHONPATH"] = str(tree)
-    sys.path[:] = [
-        str(tree),
-        *(entry for entry in sys.path if Path(entry or ".").resolve() not in (ROOT, ROOT / "tests")),
-    ]
-    for name in ("torch", "numpy", "scipy.sparse.linalg", "scipy.spatial", "igl", "skimage.measure"):
+    sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() not in (ROOT, ROOT / "tests")]
+    for name in ("torch", "numpy", "scipy.sparse.linalg", "scipy.spatial", "igl", "skimage.measure", "beartype"):
         importlib.import_module(name)
 
 
-def _caught(mutation: Mutation, tree: Path) -> bool:
-    path = tree / mutation.path
-    source = path.read_text()
-    if source.count(mutation.old) != 1:
-        raise SystemExit(f"{mutation.path} holds {mutation.old!r} {source.count(mutation.old)} times, not once.")
-    path.write_text(source.replace(mutation.old, mutation.new))
-    start = time.perf_counter()
-    code = _exit_code(mutation.test, tree)
-    path.write_text(source)
-    if code not in (0, 1):
-        raise SystemExit(f"{mutation.test} could not be run: exit code {code} of pytest.")
-    seconds = time.perf_counter() - start
-    print(f"{'caught' if code else 'MISSED'} {seconds:4.0f} s  {mutation.path}: {mutation.formula}", flush=True)
-    return code == 1
-
-
-def _exit_code(test: str, tree: Path) -> int:
-    """Of pytest for one test, in a process of its own."""
+def _begin(test: str, tree: Path) -> int:
+    """Start pytest for one test in a process of its own, and return its number."""
     process = os.fork()
     if process:
-        return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+        return process
     code = 3
     try:
         os.chdir(tree)
+        os.environ["PYTHONPATH"] = str(tree)
+        sys.path.insert(0, str(tree))
         with open(os.devnull, "w") as nowhere:
             os.dup2(nowhere.fileno(), 1)
             os.dup2(nowhere.fileno(), 2)
@@ -459,20 +645,25 @@ def _exit_code(test: str, tree: Path) -> int:
         os._exit(code)
 
 
-def _table(results: list[tuple[Mutation, bool]]) -> str:
-    rows = ["| file | formula | mutation | test | |", "|---|---|---|---|---|"]
-    for m, caught in results:
-        test = m.test.split("::")[1].removeprefix("test_").replace("_", " ")
-        change = f"`{m.old.strip()}` → `{m.new.strip()}`".replace("|", "\\|").replace("\n", " ")
-        rows.append(f"| {m.path} | {m.formula} | {change} | {test} | {'caught' if caught else 'MISSED'} |")
-    return "\n".join(rows)
-
-
-def _page(table: str, total: int, missed: int) -> str:
+def page(results: list[Result]) -> str:
+    """Return the text of the page of these results."""
+    caught = sum(result.caught for result in results)
+    rows = ["| file | function | formula | mutation | test | |", "|---|---|---|---|---|---|"]
+    for r in results:
+        test = r.test.split("::")[1].removeprefix("test_").replace("_", " ")
+        change = f"`{r.old.strip()}` → `{r.new.strip()}`".replace("|", "\\|").replace("\n", " ")
+        ended = "caught" if r.caught else "MISSED"
+        rows.append(f"| {r.path} | {r.function} | {r.formula} | {change} | {test} | {ended} |")
     return (
-        "# Mutations\n\n"
-        "Each row breaks one formula, and names the test that fails by it. `python tests/mutations.py --write` makes\n"
-        f"this page anew (it forks, so not on Windows). {total - missed} of {total} are caught.\n\n{table}\n"
+        (
+            "# Mutations\n\n"
+            "Each row breaks one formula, and names the test that fails by it. `python tests/mutations.py --write`\n"
+            "runs what has changed since and makes this page of what it finds (it forks, so not on Windows);\n"
+            "mutations.json keeps the results with hashes of the sources they are true of.\n"
+            f"{caught} of {len(results)} are caught.\n\n"
+        )
+        + "\n".join(rows)
+        + "\n"
     )
 
 

@@ -65,7 +65,7 @@ class Siren(nn.Module):
                 layer.weight.uniform_(-reach, reach, generator=generator)
                 layer.bias.uniform_(-(inputs**-0.5), inputs**-0.5, generator=generator)
 
-    def forward(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
+    def forward(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n ..."]:
         """Return the values at the points."""
         h = torch.sin(self.first_frequency * self.layers[0](points))
         for layer in self.layers[1:-1]:
