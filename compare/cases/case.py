@@ -1,4 +1,4 @@
-"""What is to be compared: a shape, an operation, its handles and its settings, as plain data.
+"""A comparison to make: a shape, an operation, its handles and its settings, as plain data.
 
 A case can be written to JSON and read back, and its key is a hash of its content (for a shape in a file, of the
 file's content too), so a rerun knows which cases are done. Handles are given in the field's own coordinates.

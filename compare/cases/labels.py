@@ -1,4 +1,4 @@
-"""What to call cases of the same shape and operation: by the settings in which they differ."""
+"""Names for cases of the same shape and operation: the settings in which they differ."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from compare.cases.handles import HandleSpec
 
 
 class CaseRules(Protocol):
-    """What a case of an operation holds."""
+    """Rules for what a case of an operation holds."""
 
     name: str
     takes_handles: bool

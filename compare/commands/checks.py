@@ -1,4 +1,4 @@
-"""What several commands refuse before any work: outputs that cannot be written, or would be written over."""
+"""Refusals before any work, common to several commands: outputs that cannot or must not be written over."""
 
 from __future__ import annotations
 

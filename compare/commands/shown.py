@@ -1,4 +1,4 @@
-"""What several commands show while they work: sentences, and bars on stderr, so that stdout is left to results."""
+"""Sentences and bars that commands show while they work, on stderr, so that stdout is left to results."""
 
 from __future__ import annotations
 

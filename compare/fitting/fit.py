@@ -45,7 +45,7 @@ QUADRATURE = 128
 
 @dataclass(frozen=True, repr=False)
 class FitReport:
-    """How well a field fits its mesh. Lengths are in diagonals of the mesh's box unless they say otherwise.
+    """Measures of how well a field fits its mesh. Lengths are in diagonals of the mesh's box unless they say otherwise.
 
     A number that could not be measured, because the field has no closed surface in its bounds, is nan, and None in
     `to_dict`.

@@ -1,4 +1,4 @@
-"""What the neural editors of all operations have in common: what they are given, and what is taken from their edits."""
+"""The part common to the neural editors of all operations: their arguments, and what is taken from their edits."""
 
 from __future__ import annotations
 

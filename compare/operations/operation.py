@@ -1,4 +1,4 @@
-"""What an operation is: one object that knows its handles, settings, editors, error and headline.
+"""An operation as one object that knows its handles, settings, editors, error and headline.
 
     cases      name, takes_handles, settings, full, quick, default_handles     (CaseRules, in compare.cases.registry)
     studies    option_sources: the functions whose keyword options a study may set
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """Where the handles of a case send the vertices of the common mesh."""
+    """Places to which the handles of a case send the vertices of the common mesh."""
 
     handle: Int[ndarray, " n"]  # the handle that holds each vertex, counted from 1; 0 for none
     at: Bool[ndarray, " n"]  # which vertices have a target
@@ -48,7 +48,7 @@ class Target:
 
 @dataclass(frozen=True, eq=False)
 class Halfway:
-    """How far an editor had come after one of its steps."""
+    """An editor's result after one of its steps."""
 
     displacement: Float[ndarray, "n 3"]  # of the vertices of the common mesh since the start
     seconds: float  # since the start
@@ -58,7 +58,7 @@ class Halfway:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What one editor made of a case."""
+    """One editor's result of a case."""
 
     displacement: Float[ndarray, "n 3"]  # of the vertices of the common mesh, in the field's units
     method: str  # which it was, and its settings, for a reader

@@ -1,4 +1,4 @@
-"""What a figure of the paper is asked with."""
+"""The request for a figure of the paper."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MESHES = ("bunny.off", "cactus.off", "rocker-arm.obj", "bar.off", "armadillo.obj
 
 @dataclass(frozen=True)
 class Request:
-    """Where the pictures go, and how they are to be made."""
+    """A folder for the pictures, and how they are to be made."""
 
     folder: Path
     meshes: Path | None = None  # a folder with some of MESHES

@@ -1,4 +1,4 @@
-"""How rigid a small neural step is, and how fast, beside the Killing least squares of the mesh.
+"""Rigidity and time of a small neural step beside the Killing least squares of the mesh.
 
 Both sides are linear, or nearly, for a small motion, so that energies can be divided. A field cannot place its handles
 exactly, and a handle that lags costs less energy: the mesh's handles are therefore held by springs, as stiff as leaves

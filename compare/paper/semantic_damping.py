@@ -1,4 +1,4 @@
-"""How damping trades steps against the rest of the shape [appendix B]: the same edits with lambda 10, 0.1 and 0.001."""
+"""Damping trades steps against the rest of the shape [appendix B]: the same edits with lambda 10, 0.1 and 0.001."""
 
 from __future__ import annotations
 

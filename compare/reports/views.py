@@ -91,7 +91,7 @@ def colour_limit(views: list[View]) -> float:
 
 @dataclass(frozen=True)
 class Camera:
-    """Where a picture is taken from, looking at the middle of the shape with the y axis up."""
+    """A viewpoint that looks at the middle of the shape with the y axis up."""
 
     azimuth: float  # degrees about the y axis, 0 looks along -z
     elevation: float = ELEVATION  # degrees above the horizon

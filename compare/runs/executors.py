@@ -1,4 +1,4 @@
-"""Where the cases of a study run: processes of this machine, or a dask cluster. Both are concurrent.futures.Executors.
+"""Executors for the cases of a study: processes of this machine or a dask cluster (concurrent.futures).
 
     Workers(n)              n fresh processes with one thread each; one that dies costs no other its case
     dask_executor(address)  the workers of a running dask scheduler

@@ -161,7 +161,7 @@ def curve(subject: Subject, outcome: Outcome, row: Mapping[str, Any]) -> list[Cu
 
 @dataclass(frozen=True)
 class Edited:
-    """What is measured of the edited field itself, apart from the common mesh."""
+    """Measures of the edited field itself, apart from the common mesh."""
 
     sizes: Mapping[str, float]  # volume and area, before and after, and their drifts
     bodies: int  # of the extracted mesh

@@ -1,4 +1,4 @@
-"""How much memory a call needs at its peak, as the operating system sees it.
+"""Peak memory of a call, as the operating system sees it.
 
 Memory of torch, of CHOLMOD and of igl is not Python's, so no tracer of Python's allocations knows it; and the largest
 size of a process since its start says nothing of a call that comes late. Linux can forget that largest size (writing 5

@@ -1,4 +1,4 @@
-"""Where a record is from: what its numbers may depend on, so that they can be had again, or a difference explained."""
+"""Provenance of a record: what its numbers may depend on, so that they can be had again, or a difference explained."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a case gave, kept as one line of JSON.
+"""The record of a case, kept as one line of JSON.
 
 A study may be killed at any moment and its rows must survive: a row is one write to a file opened for appending,
 followed by fsync; a last line cut short by a crash is cut away before the next row is appended, and skipped on

@@ -75,7 +75,7 @@ class Row(Mapping[str, Any]):
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class CurveRow(Row):
-    """How far an edit had come after a step."""
+    """An edit's numbers after a step."""
 
     step: Number
     seconds: Number
@@ -86,7 +86,7 @@ class CurveRow(Row):
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class SideRow(Row):
-    """What one editor made of a case, measured; see docs/metrics.md for each number."""
+    """One editor's result of a case, measured; see docs/metrics.md for each number."""
 
     method: str
     status: str

@@ -1,4 +1,4 @@
-"""What a study gave, as a table and as curves."""
+"""The result of a study as a table and as curves."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ class Chart:
 
 @dataclass(frozen=True, repr=False)
 class Study:
-    """What is varied, over what, and which curves are drawn of it.
+    """A grid of settings to vary, over which shapes, and the curves drawn of it.
 
     Args:
         name: For the folder and the title of the chart.

@@ -1,4 +1,4 @@
-"""How much of a prescribed displacement a field can express, said before the edit.
+"""Part of a prescribed displacement that a field can express, said before the edit.
 
 An edit in k steps, each aiming at its share y j / k of the target, comes to
 

@@ -1,4 +1,4 @@
-"""Where a smoothing flow sends each point: its speed along the normal, and what makes one step of it implicit.
+"""Laws of motion for smoothing: the speed of each point along its normal, and what makes one step of it implicit.
 
 | flow | outward speed | lowers |
 |---|---|---|

@@ -46,7 +46,7 @@ OFF_SURFACE_STRENGTH = 1e-2
 
 @dataclass(frozen=True)
 class PartSchedule:
-    """How far along each part goes: equal parts, or parts as large as the linearisation error allows.
+    """The ends of the parts: equal parts, or parts as large as the linearisation error allows.
 
     Attributes:
         parts: How many equal ones; None chooses them as the edit goes.
@@ -119,7 +119,7 @@ class TargetPoints:
 
 @dataclass(frozen=True, eq=False)
 class GeometricMemory:
-    """What a geometric edit needs from part to part.
+    """Memory of a geometric edit from part to part.
 
     Attributes:
         schedule: Of the part that is next.
@@ -249,7 +249,7 @@ def _part_energy(field: Field, carriers: TargetPoints, points: Tensor, used: Ten
 
 
 class _Coverage:
-    """How many times the area it began with a point of the moving part stands for, judged by its neighbours."""
+    """Multiple of the area it began with that a point of the moving part stands for, judged by its neighbours."""
 
     neighbours = 8
 

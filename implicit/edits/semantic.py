@@ -186,7 +186,7 @@ class SemanticOperation:
 
     @cached_property
     def used(self) -> Tensor:
-        """Which points carry the target (I,) bool: those whose displacement is along their normal, or zero."""
+        """Mask (I,) of the points that carry the target: those whose displacement is along their normal, or zero."""
         return self._along(self.sample.normals)
 
     @cached_property
@@ -291,7 +291,7 @@ class PointSpace(DeformationSpace):
         return values, gradients, lengths
 
     def normal_rows(self, points: Tensor) -> Iterator[tuple[slice, Tensor]]:
-        """As in the base, but for the points that it knows."""
+        """Return the rows as the base does, but for the points that it knows."""
         if self._rows is not None and torch.equal(points, self.points):
             yield slice(0, len(points)), self._rows
         else:

@@ -49,7 +49,7 @@ DAMPING = 1e-5
 
 @dataclass(frozen=True)
 class Until:
-    """When to stop before the last step; whatever is met first. None asks for nothing.
+    """Rule for stopping before the last step, by whatever is met first. None asks for nothing.
 
     Attributes:
         time: Flow time, a squared length (for Bending its square, for Offset a length over the speed).
@@ -67,7 +67,7 @@ class Until:
                 require_positive(name, value)
 
     def met(self, row: Row) -> bool:
-        """Whether a step's record fulfils it."""
+        """Return whether a step's record fulfils it."""
         return (
             (self.time is not None and row["time"] >= self.time * (1 - 1e-9))
             or (self.area is not None and row["area"] <= self.area)
@@ -162,10 +162,14 @@ def smooth(
 
 
 def explicit_step_limit(field: Field, *, points: int = 400, directions: int = 200, seed: int = 0) -> float:
-    """Largest stable step_size of explicit mean-curvature flow, a squared length.
+    """Return the largest stable step_size of explicit mean-curvature flow, a squared length.
 
     A step changes the motion u by step_size times its surface Laplacian, so it is stable up to 2 over the largest
     int |grad_surface u|^2 / (int u^2 + damping |d_theta|^2) of the motions that the step can choose from.
+
+    Args:
+        field: The field at the start.
+        points, directions, seed: Of smooth; the limit is that of its explicit steps with the same ones.
     """
     require_whole("points", points)
     require_whole("directions", directions)

@@ -1,4 +1,4 @@
-"""What an edit holds: functionals measured on the surface, their rows in each step, and their restoration.
+"""Functionals that an edit holds: measured on the surface, their rows in each step, and their restoration.
 
 A hard row keeps a functional to first order in the step; Newton's method on the re-measured value then restores it.
 The targets are measured at the start on a fine quadrature, and so is the end; in between a coarser one serves.
@@ -42,7 +42,7 @@ class NotHeldError(ValueError):
 
 @dataclass(frozen=True)
 class Holding:
-    """How an edit holds its functionals.
+    """Choice of how an edit holds its functionals.
 
     Attributes:
         enforce: "rows" holds by hard rows and Newton's method; "projection" takes what would change them out of the
@@ -134,11 +134,11 @@ class LinearConstraints:
 
 
 class Enforcement(Protocol):
-    """How a step's least squares meet the functionals."""
+    """A way for a step's least squares to meet the functionals."""
 
     @property
     def restores(self) -> bool:
-        """Whether Newton's method brings the values back after the step."""
+        """True if Newton's method brings the values back after the step."""
 
     def penalty_rows(self, linear: LinearConstraints) -> list[Rows]:
         """Return what is added to the least squares before it is solved."""

@@ -1,4 +1,4 @@
-"""How far a linear step is to be trusted: its damping grows until the surface goes where the step says.
+"""Trust in a linear step: its damping grows until the surface goes where the step says.
 
 The damping is relative to the trace of the normal matrix and adapted as by Levenberg and Marquardt:
 
@@ -73,7 +73,7 @@ class AdaptiveDamping:
 
 @dataclass(frozen=True)
 class LinearisationError:
-    """How far points missed their predicted motion.
+    """Distance by which points missed their predicted motion.
 
     Attributes:
         missed: Root mean square of achieved minus predicted motion, less the outliers, a length; infinite if no point

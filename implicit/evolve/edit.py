@@ -1,4 +1,4 @@
-"""What an edit gives back: the edited field, how it ended, and the evidence."""
+"""The result of an edit: the edited field, how it ended, and the evidence."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def require_options(
 
 
 class EditStatus(Enum):
-    """How an edit ended; the value is the sentence a user reads."""
+    """Outcome of an edit; the value is the sentence a user reads."""
 
     DONE = "All steps were taken."
     REACHED = "The stopping rule was met before the last step."

@@ -177,7 +177,7 @@ class Moved:
 
 @dataclass(frozen=True, eq=False)
 class Loop(Generic[Memory]):
-    """What stays the same from step to step.
+    """The part of an edit that stays the same from step to step.
 
     Attributes:
         operation: What the user asked for.

@@ -1,4 +1,4 @@
-"""What an operation tells the loop, and what it hears from it."""
+"""The operation as the loop sees it: what it tells the loop, and what it hears from it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Memory = TypeVar("Memory")
 
 @dataclass(frozen=True, eq=False)
 class State(Generic[Memory]):
-    """Where an edit stands at the start of a step.
+    """State of an edit at the start of a step.
 
     Attributes:
         field: As edited so far.
@@ -97,7 +97,7 @@ class Taken:
 
 @dataclass(frozen=True)
 class Outcome(Generic[Memory]):
-    """What an operation makes of a step that was taken.
+    """An operation's answer to a step that was taken.
 
     Attributes:
         memory: For the next step.
@@ -111,7 +111,7 @@ class Outcome(Generic[Memory]):
 
 
 class Operation(Protocol[Memory]):
-    """What a user asked for, as the loop sees it. No call changes it: what changes is the memory in the state."""
+    """A user's wish as the loop sees it. No call changes it: what changes is the memory in the state."""
 
     @property
     def columns(self) -> Sequence[str]:

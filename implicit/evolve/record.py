@@ -11,7 +11,7 @@ from implicit.step.problem import Row
 
 @dataclass(frozen=True)
 class StepRecord:
-    """What the loop records of a step.
+    """The loop's record of a step.
 
     Attributes:
         constraint_gap: Largest relative distance of a functional from its target or bound.

@@ -79,7 +79,7 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """What all tries of a step have in common.
+    """The part that all tries of a step have in common.
 
     Attributes:
         problem: Of the step.

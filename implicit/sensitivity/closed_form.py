@@ -37,7 +37,7 @@ class PlainNetwork(Protocol):
 
 
 def is_plain(field: Field) -> bool:
-    """Whether the closed form applies: a plain network all of whose parameters are edited."""
+    """Return whether the closed form applies: a plain network all of whose parameters are edited."""
     if not isinstance(field.module, PlainNetwork):
         return False
     names = [name for name, _ in field.module.named_parameters()]

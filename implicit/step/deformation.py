@@ -1,4 +1,4 @@
-"""What can move: displacements of the surface that an edit may choose from, all linear in a few unknowns.
+"""Displacements of the surface that an edit may choose from, all linear in a few unknowns.
 
     D(x) = n u + (I - n n^T) T(x),    u = b . d_theta    normal part, spanned by the parameters
                                       T = phi c          tangential part, spanned by a linear basis (optional)

@@ -1,4 +1,4 @@
-"""What a step minimises: each energy gives rows of the least squares over the unknowns of a deformation space.
+"""Energies that a step minimises: each gives rows of the least squares over the unknowns of a deformation space.
 
     E_C = int w (n . D - target)^2          reach a prescribed normal displacement       [paper, eq. 4, 5]
     int w (df / scale - target)^2           change the field itself, on the surface or off it

@@ -22,7 +22,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class DampingRule:
-    """How the damping of a step is found.
+    """Rule by which the damping of a step is found.
 
     Attributes:
         fixed: Penalty on the squares of the unknowns; None adapts it to the linearisation error.
@@ -62,7 +62,7 @@ def newton_projection(field: Field, points: Float[Tensor, "n d"], reach: float) 
 
 @dataclass(frozen=True, eq=False)
 class StepProblem:
-    """What one step minimises, over which displacements.
+    """The energies that one step minimises, and the displacements it chooses from.
 
     Attributes:
         space: The displacements to choose from.

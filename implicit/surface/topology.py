@@ -1,4 +1,4 @@
-"""How many pieces a surface has, and its Euler number: what an edit must not change unnoticed.
+"""Number of pieces of a surface, and its Euler number: what an edit must not change unnoticed.
 
     chi = vertices - edges + faces        2 for each sphere, less 2 for each handle; 0 for closed curves
 
