@@ -143,7 +143,7 @@ def adjoint(
 
 def parameter_gradient_and_slope(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n e p"]:
     """df/dtheta and, after it, its derivatives in space d(df/dtheta)/dx, (N, 1 + D, P)."""
-    if is_plain(field):
+    if is_plain(field, in_space=True):
         return plain_gradient_and_slope(field, points)
     gradient = grad(_at_one_point(field))
 
