@@ -56,6 +56,12 @@ def has_closed_form(field: Field, *, in_space: bool = False) -> bool:
     return form is not None and (form.in_space or not in_space)
 
 
+def fits(field: Field, count: int) -> bool:
+    """Return whether so many rows df/dtheta can be kept by their factors: there is a closed form, and room."""
+    form = closed_form_of(field)
+    return form is not None and count * form.width <= 4 * FACTORS
+
+
 def gradient(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n p"]:
     """Return df/dtheta at each point, of a field with a closed form."""
     form = _require(field)
@@ -128,7 +134,9 @@ class ClosedForm:
         for k, node in self.steps.nodes.items():
             if not edited.isdisjoint(node.operands) or not self._edited.isdisjoint(node.sources):
                 self._edited.add(k)
-        self.width = sum(operand.index.shape[-1] for operand in self.steps.operands.all if operand.index.ndim == 2)
+        # Numbers of the factors of a row.
+        shapes = [self.steps.operands.all[k].index.shape for k in edited]
+        self.width = sum(sum(shape) if len(shape) == 2 else shape.numel() for shape in shapes)
 
     def compared(self, theta: Tensor) -> None:
         """Note that the value agrees at these parameters."""
@@ -349,10 +357,3 @@ def _near(found: Tensor, expected: Tensor) -> bool:
     scale = float(expected.abs().max()) if expected.numel() else 0.0
     gap = (found - expected).abs()
     return bool(torch.isfinite(found).all()) and bool((gap <= TOLERANCES[found.dtype] * scale).all())
-
-
-# The names that callers know.
-is_plain = has_closed_form
-plain_gradient = gradient
-plain_gradient_and_slope = gradient_and_slope
-plain_gram = gram

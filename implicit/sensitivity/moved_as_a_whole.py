@@ -38,6 +38,7 @@ class _Gate:
     entry: _Entry
     weight: Tensor  # (in, out)
     bias: Tensor  # (out,)
+    scale: Tensor  # (out,), of the weights to what theta holds
 
 
 def moved_as_a_whole(
@@ -67,7 +68,7 @@ def moved_as_a_whole(
         turned = rotation @ now
         new = (part - back @ now) + back @ turned
         theta[where] = new
-        theta[gate.bias] += constant @ (part - new) - translation @ turned
+        theta[gate.bias] += gate.scale * (constant @ (part - new) - translation @ turned)
     # Weights under a norm keep it where the points are scaled alike in all directions, which this finds out.
     points = field.bounds[0] + (field.bounds[1] - field.bounds[0]) * _LATTICE[:, : field.dimension].to(field.theta)
     with torch.no_grad():
@@ -93,7 +94,7 @@ def _gates(steps: Steps, columns: Columns, field: Field) -> list[_Gate] | None:
         if all(source is None for source in sources):
             entries[k] = None
         elif isinstance(node, Affine):
-            gate = _gate(node, sources[0], columns)
+            gate = _gate(node, sources[0], columns, field.theta)
             if gate is None:
                 return None
             gates.append(gate)
@@ -106,7 +107,7 @@ def _gates(steps: Steps, columns: Columns, field: Field) -> list[_Gate] | None:
     return gates if entries[steps.output] is None else None
 
 
-def _gate(node: Affine, entry: _Entry | None, columns: Columns) -> _Gate | None:
+def _gate(node: Affine, entry: _Entry | None, columns: Columns, theta: Tensor) -> _Gate | None:
     """The layer, if its weights (under a norm, their directions) and biases are edited and stand for nothing else."""
     if entry is None or node.bias is None or not {node.weight, node.bias} <= columns.alone:
         return None
@@ -114,9 +115,14 @@ def _gate(node: Affine, entry: _Entry | None, columns: Columns) -> _Gate | None:
     if bias.base != THETA or bias.repeats or weight.repeats:
         return None
     if weight.base == THETA:
-        return _Gate(entry, weight.index, bias.index)
+        return _Gate(entry, weight.index, bias.index, torch.ones_like(theta[bias.index]))
     norm = columns.operands.derived[weight.base].norm
-    return None if norm is None else _Gate(entry, norm.v.index[weight.index], bias.index)
+    if norm is None:
+        return None
+    group = norm.group[weight.index]
+    if not torch.equal(group[:1].expand(group.shape), group):
+        return None
+    return _Gate(entry, norm.v.index[weight.index], bias.index, norm.parts(theta)[1][group[0]])
 
 
 def _carried(node: Step, sources: list[_Entry | None], steps: Steps, field: Field) -> _Entry | None:

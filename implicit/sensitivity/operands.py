@@ -193,12 +193,22 @@ def replayed(calls: Sequence[Call], theta_then: Tensor, result: Tensor) -> Calla
             return now.get(id(value), value) if isinstance(value, Tensor) else value
 
         for call in needed:
-            new = call.function(*tree_map(renewed, call.arguments), **tree_map(renewed, call.named))
+            arguments, named = tree_map(renewed, call.arguments), tree_map(renewed, call.named)
+            new = _WRITTEN_OUT.get(call.function, call.function)(*arguments, **named)
             old, new = (call.result, new) if isinstance(call.result, (tuple, list)) else ((call.result,), (new,))
             now.update((id(before), after) for before, after in zip(old, new, strict=True))
         return now[id(result)].reshape(-1)  # type: ignore[no-any-return]
 
     return evaluate
+
+
+def _weight_norm(v: Tensor, g: Tensor, dim: int = 0) -> tuple[Tensor, Tensor]:
+    length = torch.norm_except_dim(v, 2, dim)
+    return v * (g / length), length
+
+
+# Operators whose derivatives torch cannot make for many rows at once.
+_WRITTEN_OUT = {torch.ops.aten._weight_norm_interface.default: _weight_norm}
 
 
 def weight_norm(evaluate: Callable[[Tensor], Tensor], leaves: Sequence[Tensor], theta: Tensor) -> WeightNorm | None:
