@@ -30,7 +30,7 @@ from implicit.evolve.edit import Edit, EditStatus, Progress, require_options, wi
 from implicit.evolve.evolve import evolve
 from implicit.evolve.operation import Outcome, State, Taken
 from implicit.field.field import Field, require_field
-from implicit.sensitivity.closed_form import is_plain
+from implicit.sensitivity.moved_as_a_whole import moved_as_a_whole
 from implicit.sensitivity.shape_functionals import Area, Functional, Volume
 from implicit.step.deformation import DeformationSpace, spanned
 from implicit.step.energies import Energy, Killing, VectorTarget
@@ -157,7 +157,9 @@ def rigid_edit(
 
 def _can_be_placed(field: Field, whole: Placement, sample: SurfaceSample, constraints: Sequence[Functional]) -> bool:
     """Return whether the field can first be moved as a whole: no constraint feels it, and it stays in its bounds."""
-    if not is_plain(field) or not all(isinstance(constraint, (Volume, Area)) for constraint in constraints):
+    if not all(isinstance(constraint, (Volume, Area)) for constraint in constraints):
+        return False
+    if moved_as_a_whole(field, whole.rotation, whole.translation) is None:
         return False
     moved = whole.at(sample.points)
     lower, upper = field.bounds + 0.01 * field.size * torch.tensor([[1.0], [-1.0]]).to(field.theta)

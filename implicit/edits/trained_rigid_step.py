@@ -211,7 +211,7 @@ class LearnedFeatures:
     def _functions(self, points: Tensor) -> Tensor:
         h = points
         for number, layer in enumerate(self._network.layers[:-1]):
-            h = self._network.activate(number, layer(h))[0]
+            h = self._network.activate(number, layer(h))
         return torch.cat([torch.ones_like(points[:, :1]), points, h], dim=1)
 
 

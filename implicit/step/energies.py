@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from typing import Protocol
 
 import torch
@@ -22,7 +21,7 @@ from torch import Tensor
 
 from implicit.field.field import Field
 from implicit.sensitivity.boundary_sensitivity import adjoint, normal_displacement
-from implicit.sensitivity.closed_form import is_plain, plain_gram
+from implicit.sensitivity.closed_form import factors, fits
 from implicit.step.deformation import DeformationSpace
 from implicit.step.least_squares import Operator, Rows
 
@@ -83,6 +82,8 @@ class FieldTarget:
     def operator(self, space: DeformationSpace) -> Operator:
         """Return the same equations by their products, for networks whose rows do not fit in memory."""
         field, p = space.field, space.parameters
+        if fits(field, len(self.points) * (1 if self.tied is None else 2)):
+            return self._factored(space)
 
         def forward(x: Tensor) -> Tensor:
             change = normal_displacement(field, self.points, x[:p], -self.scale)
@@ -94,10 +95,21 @@ class FieldTarget:
                 theta = theta + adjoint(field, self.tied, weights)
             return torch.cat([theta, theta.new_zeros(space.size - p)])
 
-        gram = (
-            partial(plain_gram, field, self.points, 1 / self.scale) if self.tied is None and is_plain(field) else None
-        )
-        return Operator(forward, back, self.target, self.weights, gram)
+        return Operator(forward, back, self.target, self.weights)
+
+    def _factored(self, space: DeformationSpace) -> Operator:
+        """Return `operator`'s answer for a field whose rows are known by their factors."""
+        field, p = space.field, space.parameters
+        rows = factors(field, self.points).scaled(1 / self.scale)
+        if self.tied is not None:
+            lengths = field.gradient_length(field.gradient(self.tied))
+            rows = rows.plus(factors(field, self.tied).scaled(-1 / lengths))
+
+        def back(weights: Tensor) -> Tensor:
+            theta = rows.transposed_times(weights)
+            return torch.cat([theta, theta.new_zeros(space.size - p)])
+
+        return Operator(lambda x: rows.times(x[:p]), back, self.target, self.weights, rows.gram)
 
     def __repr__(self) -> str:
         tied = "" if self.tied is None else ", tied to the surface"

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.field.field import Field
-from implicit.sensitivity.closed_form import is_plain
+from implicit.sensitivity.closed_form import has_closed_form
 from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import Energy, FieldTarget, NormalTarget, united
 from implicit.step.least_squares import DENSE_LIMIT, LeastSquares
@@ -132,12 +132,12 @@ def assemble(problem: StepProblem) -> LeastSquares:
 
 
 def _is_cheaper_by_products(problem: StepProblem) -> bool:
-    """Return whether all are targets of a plain network's field, at fewer points than unknowns and tied to nothing.
+    """Return whether all are targets of a field with a closed form, at fewer points than unknowns and tied to nothing.
 
     The products of their rows with each other then come from those of the layers (implicit.sensitivity.closed_form).
     """
     space, count = problem.space, 0
-    if space.directions is not None or not is_plain(space.field):
+    if space.directions is not None or not has_closed_form(space.field):
         return False
     for energy in problem.energies:
         if not isinstance(energy, NormalTarget) and not (isinstance(energy, FieldTarget) and energy.tied is None):
