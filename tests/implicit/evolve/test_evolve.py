@@ -12,7 +12,7 @@ from implicit.edits.handles import Along
 from implicit.edits.regions import Ball
 from implicit.edits.semantic import SemanticOperation
 from implicit.edits.smoothing import SmoothingOperation, Until
-from implicit.edits.targets import Goal, checked_handles
+from implicit.edits.targets import SummedTargets, checked_handles
 from implicit.evolve.constraints import ConstraintSet
 from implicit.evolve.evolve import Loop, evolve, first_solve
 from implicit.evolve.operation import Outcome, State
@@ -160,10 +160,10 @@ def geometric(field):
     start = start_of(field, 80)
     handles = checked_handles(Handle(Ball((0.4, 0, 0), 0.3, falloff=0.1), Along(0.05)))
 
-    def goal_of(points, normals):
-        return Goal(handles, points, normals)
+    def targets_of(points, normals):
+        return SummedTargets(handles, points, normals)
 
-    return GeometricOperation(field, goal_of, start, PartSchedule.of(None, 0.05), None, 1e-2, None, 0), start
+    return GeometricOperation(field, targets_of, start, PartSchedule.of(None, 0.05), None, 1e-2, None, 0), start
 
 
 def smoothing(field):
