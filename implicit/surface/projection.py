@@ -212,15 +212,17 @@ def _walk(field: Field, points: Tensor, f: Tensor, g: Tensor, reach: float, tole
     going = (g.norm(dim=1) > 0).nonzero()[:, 0]
     x, f, g = points[going], f[going], g[going]
     ahead = torch.zeros_like(x)
-    longest = WALK_FIRST * reach
+    longest, past = WALK_FIRST * reach, WALK_GROWTH
     for _ in range(WALK_STEPS):
         slope = g.norm(dim=1)
         # Over ground without a slope the walk goes on as before.
         downhill = -torch.sign(f + (f == 0))[:, None] * g / slope.clamp(min=torch.finfo(f.dtype).tiny)[:, None]
         ahead = torch.where((slope > 0)[:, None], downhill, ahead)
-        length = (WALK_GROWTH * f.abs() / slope).nan_to_num(nan=longest).clamp(SLACK * tolerance, longest)
+        room = reach - (x - points[going]).norm(dim=1)
+        length = (past * f.abs() / slope).nan_to_num(nan=longest).clamp(SLACK * tolerance, longest)
+        length = torch.minimum(length, room)
         beyond = x + length[:, None] * ahead
-        within = torch.isfinite(beyond).all(dim=1) & ((beyond - points[going]).norm(dim=1) <= reach)
+        within = torch.isfinite(beyond).all(dim=1) & (room > tolerance)
         going, x, f, beyond, ahead = going[within], x[within], f[within], beyond[within], ahead[within]
         if len(going) == 0:
             break
@@ -230,7 +232,8 @@ def _walk(field: Field, points: Tensor, f: Tensor, g: Tensor, reach: float, tole
         start[which], end[which], at_start[which], at_end[which] = (part[crossed] for part in (x, beyond, f, f_beyond))
         known[which] = True
         going, x, f, g, ahead = (part[~crossed] for part in (going, beyond, f_beyond, g, ahead))
-        longest = min(WALK_GROWTH * longest, reach / 4)
+        # Where f falls off as a power of the distance, a fixed share of the way ahead would never be the whole of it.
+        longest, past = min(WALK_GROWTH * longest, reach / 4), WALK_GROWTH * past
     return start, end, at_start, at_end, known
 
 
