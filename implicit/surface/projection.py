@@ -24,6 +24,10 @@ Segments = tuple[Float[Tensor, "n d"], Float[Tensor, "n d"]]
 # A point has arrived where |f| / |df/dx| is at most so many tolerances: rounding may hold the last digit above one.
 SLACK = 10
 
+# A point on an edge of a grid that goes farther than this share of the edge may pass its neighbours, and fold the mesh.
+# On smooth surfaces that a grid resolves none of thousands does.
+LEASH = 0.5
+
 # Steps of the walk to a change of sign, the first at most this share of the reach, each at most so much longer.
 WALK_STEPS = 24
 WALK_FIRST = 1 / 64
@@ -89,6 +93,7 @@ def place_on_surface(
     tolerance: float | None = None,
     iterations: int = 30,
     segments: Segments | None = None,
+    thorough: bool = False,
 ) -> Placement:
     """Place points as newton_to_surface does, and tell where the field jumps.
 
@@ -99,8 +104,10 @@ def place_on_surface(
         tolerance: As for newton_to_surface.
         iterations: As for newton_to_surface.
         segments: Two ends (N, D) for each point with the surface between them, such as the edge of a grid. A point
-            that Newton's method does not bring to the surface, or takes farther than the segment is long, is placed on
-            its segment. None, or ends of the same sign, leave it the walk along the gradient.
+            that Newton's method does not bring to the surface, or takes farther than a part of the segment, is placed
+            on its segment. None, or ends of the same sign, leave it the walk along the gradient.
+        thorough: True looks all around from each point whose gradient leads nowhere, as in a hollow of |f| off the
+            surface; False does so where there is no gradient alone, since most such points are better given up.
     """
     field.require_points(points)
     if in_working_precision(field) is not field:
@@ -112,6 +119,7 @@ def place_on_surface(
             tolerance=tolerance,
             iterations=iterations,
             segments=None if segments is None else (single[1], single[2]),
+            thorough=thorough,
         )
         return Placement(found.points.to(points), found.arrived, found.jumps, found.gradients.to(points))
     if tolerance is None:
@@ -119,11 +127,12 @@ def place_on_surface(
     current, arrived, gradients = _newton(field, points, reach, tolerance, iterations)
     away = ~arrived
     if segments is not None:
-        away = away | ((current - points).norm(dim=1) > (segments[1] - segments[0]).norm(dim=1))
+        away = away | ((current - points).norm(dim=1) > LEASH * (segments[1] - segments[0]).norm(dim=1))
     jumps = torch.zeros_like(arrived)
     left = away.nonzero()[:, 0]
     if len(left):
-        start, end, at_start, at_end, known = _brackets(field, points[left], reach, tolerance, segments, left)
+        chosen = None if segments is None else (segments[0][left], segments[1][left])
+        start, end, at_start, at_end, known = _brackets(field, points[left], reach, tolerance, chosen, thorough)
         zeros = bracketed_zeros(field, start, end, at_start, at_end, tolerance)
         left = left[known]
         current[left], arrived[left], jumps[left] = zeros.points, ~zeros.jumps, zeros.jumps
@@ -181,7 +190,7 @@ _Brackets = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]  # start, end, f at bo
 
 
 def _brackets(
-    field: Field, points: Tensor, reach: float, tolerance: float, segments: Segments | None, chosen: Tensor
+    field: Field, points: Tensor, reach: float, tolerance: float, segments: Segments | None, thorough: bool
 ) -> _Brackets:
     """Return brackets: the given segments where they are some, found on a walk elsewhere."""
     start, end = points.clone(), points.clone()
@@ -189,15 +198,16 @@ def _brackets(
     at_end = at_start.clone()
     known = torch.zeros(len(points), dtype=torch.bool, device=points.device)
     if segments is not None:
-        low, high = segments[0][chosen], segments[1][chosen]
+        low, high = segments
         at_low, at_high = field.value(low), field.value(high)
         known = (at_low < 0) != (at_high < 0)
         start, end = torch.where(known[:, None], low, start), torch.where(known[:, None], high, end)
         at_start, at_end = torch.where(known, at_low, at_start), torch.where(known, at_high, at_end)
+    level = gradient.norm(dim=1) * POINTLESS * field.size <= at_start.abs()
     for search in (_walk, _look_about):
-        lost = (~known).nonzero()[:, 0]
+        lost = (~known & (level | thorough | (search is _walk))).nonzero()[:, 0]
         if len(lost) == 0:
-            break
+            continue
         found = search(field, points[lost], at_start[lost], gradient[lost], reach, tolerance)
         which = lost[found[4]]
         start[which], end[which], at_start[which], at_end[which] = (part[found[4]] for part in found[:4])
@@ -237,11 +247,11 @@ def _walk(field: Field, points: Tensor, f: Tensor, g: Tensor, reach: float, tole
     return start, end, at_start, at_end, known
 
 
-def _look_about(field: Field, points: Tensor, f: Tensor, g: Tensor, reach: float, tolerance: float) -> _Brackets:
-    """Look in every direction of a lattice, farther and farther, from each point where the gradient points nowhere."""
+def _look_about(field: Field, points: Tensor, f: Tensor, _: Tensor, reach: float, __: float) -> _Brackets:
+    """Look from each point in every direction of a lattice, farther and farther."""
     start, end, at_start, at_end = points.clone(), points.clone(), f.clone(), f.clone()
     known = torch.zeros(len(points), dtype=torch.bool, device=points.device)
-    going = (g.norm(dim=1) * POINTLESS * field.size <= f.abs()).nonzero()[:, 0]
+    going = torch.arange(len(points), device=points.device)
     directions = [way for way in product((-1.0, 0.0, 1.0), repeat=field.dimension) if any(way)]
     ways = torch.nn.functional.normalize(torch.tensor(directions).to(points), dim=1)
     at_before = f[going, None].expand(-1, len(ways))
@@ -282,7 +292,7 @@ def project_to_surface(
     require_positive("reach", reach, "length")
     if tolerance is not None:
         require_positive("tolerance", tolerance, "length")
-    found = place_on_surface(field, points, reach=reach, tolerance=tolerance)
+    found = place_on_surface(field, points, reach=reach, tolerance=tolerance, thorough=True)
     if bool(found.jumps.any()):
         raise discontinuous(field, found)
     if not bool(found.arrived.all()):

@@ -26,8 +26,10 @@ from implicit.surface.projection import discontinuous, in_working_precision, pla
 _TRIANGLE_ORBITS = ((0.445948490915965, 0.223381589678011), (0.091576213509771, 0.109951743655322))
 
 # A middle node farther from the middle of its chord than this share of it makes no cell that follows the surface: an
-# edge over half a circle has its middle there.
+# edge over half a circle has its middle there. On a mesh with creases the gradient may lead a middle astray, along the
+# surface: there an edge stays straight from where it would follow a quarter of a circle.
 MOST_BULGE = 0.5
+MOST_BULGE_BY_CREASES = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,17 +197,17 @@ def _curved_mesh(field: Field, resolution: int) -> tuple[Tensor, Tensor, Tensor]
     corners, reach = vertices.points, 2 * field.size / resolution
     field = in_working_precision(field)
     edges, edge_of = edges_of(cells, len(corners))
-    middles, slopes = _middle_nodes(field, corners, edges, reach)
+    middles, slopes = _middle_nodes(field, corners, edges, reach, MOST_BULGE)
     split = split_at_creases(field, corners, cells, edges, edge_of, (vertices.gradients, slopes))
     if len(split[0]) == len(corners):
         return _with_middle_nodes(corners, cells, middles, edge_of), corners, cells
     edges, edge_of = edges_of(split[1], len(split[0]))
-    middles, _ = _middle_nodes(field, split[0], edges, reach)
+    middles, _ = _middle_nodes(field, split[0], edges, reach, MOST_BULGE_BY_CREASES)
     return _unfolded(_with_middle_nodes(*split, middles, edge_of)), corners, cells
 
 
-def _middle_nodes(field: Field, corners: Tensor, edges: Tensor, reach: float) -> tuple[Tensor, Tensor]:
-    """The middle of each edge, on the surface where that is near; and df/dx there.
+def _middle_nodes(field: Field, corners: Tensor, edges: Tensor, reach: float, most: float) -> tuple[Tensor, Tensor]:
+    """The middle of each edge, on the surface where that is nearer than so many edges; and df/dx there.
 
     Both triangles at an edge share its middle node, or the curved surface would tear.
     """
@@ -213,7 +215,7 @@ def _middle_nodes(field: Field, corners: Tensor, edges: Tensor, reach: float) ->
     start = ends.mean(dim=1)
     found = place_on_surface(field, start, reach=reach)
     bulge = (found.points - start).norm(dim=1)
-    near = found.arrived & (bulge <= MOST_BULGE * (ends[:, 1] - ends[:, 0]).norm(dim=1))
+    near = found.arrived & (bulge <= most * (ends[:, 1] - ends[:, 0]).norm(dim=1))
     return torch.where(near[:, None], found.points, start), found.gradients
 
 

@@ -255,21 +255,23 @@ def _by_rejection(field: Field, n: int, resolution: int, generator: torch.Genera
     candidates = torch.cat(kept)[: 4 * n]
     points = candidates[farthest_order(candidates, n)]
     # A band of half-width w about an area A has the volume 2 w A.
-    area = _confirmed_area(field, float((upper - lower).prod()) * inside / drawn / (2 * band))
+    area = _confirmed_area(field, float((upper - lower).prod()) * inside / drawn / (2 * band), resolution)
     weights = torch.full_like(points[:, 0], area / n)
     return SurfaceSample(points, field.normal(points), weights)
 
 
-def _confirmed_area(field: Field, estimate: float) -> float:
+def _confirmed_area(field: Field, estimate: float, resolution: int) -> float:
     """Return the area from the draws in a band, or that of the cells where the band was not what it was taken for.
 
     A saturated or truncated field is level within the band, so that fewer points seem near than are.
     """
     try:
         cells = float(surface_quadrature(field, BAND_CHECK).weights.sum())
+        if abs(estimate / cells - 1) <= BAND_ERROR:
+            return estimate
+        return float(surface_quadrature(field, max(BAND_CHECK, resolution)).weights.sum())
     except SurfaceError:  # the surface leaves the bounds, and only the part in them is sampled
         return estimate
-    return estimate if abs(estimate / cells - 1) <= BAND_ERROR else cells
 
 
 def farthest_order(points: Float[Tensor, "m d"], n: int) -> Tensor:
