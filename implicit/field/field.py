@@ -305,7 +305,6 @@ class Field:
 
     def _second_derivatives_missing(self, points: Tensor) -> str:
         if "missing" not in self.findings and len(points):
-            self.findings["missing"] = ""  # for what is looked at in the looking
             self.findings["missing"] = second_derivatives_missing(self, points)
         return str(self.findings.get("missing", ""))
 

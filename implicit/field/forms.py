@@ -86,33 +86,36 @@ class Form:
 
     # What may be meant where it does not fit
 
-    def places(self, result: Any, n: int) -> Iterator[str]:
-        """Yield the `output=` at which n values stand in what a module gave, the first few."""
+    def places(self, result: Any, n: int) -> list[str]:
+        """Return the `output=` at which n values stand in what a module gave, the first few."""
+        paths = []
+        for path in self._paths(result, n, 3):
+            paths.append(f"output={path[0]!r}" if len(path) == 1 else f"output={path!r}")
+        return paths[:4]
+
+    def _paths(self, result: Any, n: int, depth: int) -> Iterator[tuple[int | str, ...]]:
+        """Yield the steps to n values in what a module gave: entries that are n values, then channels of others."""
         if isinstance(result, Tensor):
-            if result.ndim >= 2 and result.numel() > n and result.numel() % n == 0:
-                count = result.shape[self._channels]
-                if result.numel() // max(count, 1) == n:
-                    yield from (f"output={k}" for k in range(min(count, 3)))
-                    yield from ["..."] if count > 3 else []
+            count = result.shape[self._channels] if result.ndim >= 2 else 0
+            if count > 1 and result.numel() == n * count:
+                yield from ((k,) for k in range(min(count, 3)))
             return
-        entries: list[tuple[Any, Any]] = []
-        if isinstance(result, Mapping):
-            entries = list(result.items())
-        elif hasattr(result, "_fields"):
-            entries = [(name, getattr(result, name)) for name in result._fields]
-        elif isinstance(result, list | tuple):
-            entries = list(enumerate(result))
-        elif hasattr(result, "__dict__"):
-            entries = list(vars(result).items())
+        entries = list(_entries(result)) if depth else []
+        yield from ((key,) for key, entry in entries if isinstance(entry, Tensor) and entry.numel() == n)
         for key, entry in entries:
-            if isinstance(entry, Tensor) and entry.numel() == n:
-                yield f"output={key!r}"
-            elif isinstance(entry, Tensor):
-                yield from (
-                    f"output=({key!r}, {place.removeprefix('output=')})"
-                    for place in self.places(entry, n)
-                    if place != "..."
-                )
+            yield from ((key, *path) for path in self._paths(entry, n, depth - 1))
+
+
+def _entries(result: Any) -> Iterator[tuple[Any, Any]]:
+    """Yield the names or numbers of what is in a result, with it."""
+    if isinstance(result, Mapping):
+        yield from result.items()
+    elif hasattr(result, "_fields"):
+        yield from ((name, getattr(result, name)) for name in result._fields)
+    elif isinstance(result, list | tuple):
+        yield from enumerate(result)
+    elif hasattr(result, "__dict__"):
+        yield from vars(result).items()
 
 
 def described(result: Any) -> str:

@@ -251,16 +251,14 @@ class _Copying:
 
     def _script(self, value: torch.jit.ScriptModule) -> nn.Module:
         made = copy.deepcopy(value).eval()
-        if self._dtype is not None or self._device is not None:
-            made.to(dtype=self._dtype, device=self._device)
         for old, new in zip(value.modules(), made.modules(), strict=True):
             attributes = _Attributes(new)
-            for name, parameter in old._parameters.items():
-                if parameter is not None:
-                    frozen = new._parameters[name]
-                    frozen.requires_grad = False
-                    self.memo[id(parameter)] = (parameter, frozen)
-                    self.places.setdefault(id(frozen), []).append((attributes, name))
+            for name, tensor in [*old.named_parameters(recurse=False), *old.named_buffers(recurse=False)]:
+                setattr(new, name, self._tensor(tensor).detach())
+            for name, parameter in old.named_parameters(recurse=False):
+                frozen = getattr(new, name)
+                self.memo[id(parameter)] = (parameter, frozen)
+                self.places.setdefault(id(frozen), []).append((attributes, name))
         return made
 
     def _note(self, holder: MutableMapping[Any, Any] | list[Any]) -> None:
@@ -348,7 +346,7 @@ class _Copying:
         if _is_foreign(kind.__module__) and kind is not SimpleNamespace:
             return value
         try:
-            made = object.__new__(kind)
+            made = SimpleNamespace() if kind is SimpleNamespace else object.__new__(kind)
             made.__dict__.update(value.__dict__)
         except (TypeError, AttributeError):
             return value

@@ -7,6 +7,9 @@ from contextlib import contextmanager
 
 # A piece of torch's message, in small letters, and what it means for the owner of the module. The first that fits.
 _MEANINGS = (
+    ("checkpoint", "Its activations are checkpointed, that is computed again later with the parameters of then: turn "
+     "gradient checkpointing off, which a field does not need"),
+    ("recomput", "Its activations are checkpointed: turn gradient checkpointing off, which a field does not need"),
     ("marked with @once_differentiable", "An autograd.Function in it is once_differentiable: write its backward of "
      "differentiable operations, or take what needs no second derivatives"),
     ("setup_context", "An autograd.Function in it is of the old style, with ctx in forward: give it setup_context and "
@@ -17,9 +20,6 @@ _MEANINGS = (
     ("is not supported on compiled", "A compiled part in it cannot be transformed: give the module that was compiled"),
     ("dynamo", "A compiled part in it cannot be transformed: give the module or function that was compiled"),
     ("torch.compile", "A compiled part in it cannot be transformed: give the module or function that was compiled"),
-    ("checkpoint", "Its activations are checkpointed: turn gradient checkpointing off, which a field does not need, or "
-     "call checkpoint with use_reentrant=False"),
-    ("recomput", "Its activations are checkpointed: turn gradient checkpointing off, which a field does not need"),
     ("inference tensor", "It runs or was made under torch.inference_mode: load and call it outside of that"),
     ("does not support double backward", "An operation in it has no second derivative: take one of plain torch, or "
      "what needs no second derivatives"),
