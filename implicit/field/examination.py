@@ -1,8 +1,8 @@
 """What a module must be to be a field, looked at before any work, in milliseconds.
 
 Each value must be that of its own point, the same each time, and its derivatives by the point and by the parameters
-must be those of the values. Modules that pool over the batch, draw at random, or cut their gradients off look right until an
-edit goes wrong; here they are refused, with what is missing.
+must be those of the values. Modules that pool over the batch, draw at random, or cut their gradients off look right
+until an edit goes wrong; here they are refused, with what is missing.
 
 Values and gradients are held against central differences at several steps, on the surface where it is found, and a
 point speaks against a module only if no step agrees: kinks, saturation and roundoff speak against none.
@@ -23,8 +23,9 @@ from implicit.field.torch_errors import first_line, in_our_words, meaning
 if TYPE_CHECKING:
     from implicit.field.field import Field
 
-# Points drawn in the bounds, points of them looked at closely, and halvings that bring those to the surface.
-DRAWN, CLOSE, HALVINGS = 64, 8, 14
+# Points drawn in the bounds, points of them looked at closely, points of those alone, and halvings that bring points
+# near the surface: to 1/256 of a segment, where an occupancy that saturates still has a slope.
+DRAWN, CLOSE, ALONE, HALVINGS = 64, 8, 2, 8
 
 # Steps of the differences: in space over the size of the bounds, of the parameters over their own size.
 STEPS = (1e-2, 1e-3, 1e-4, 1e-5)
@@ -154,9 +155,9 @@ def _require_settled(field: Field, points: Tensor, values: Tensor) -> None:
         # Products of matrices round differently by the number of rows, which a steep network multiplies.
         allowed = rounding + 1e-3 * float(finite.max() - finite.min())
         try:
-            alone = torch.cat([field.function(field.theta, point[None]) for point in points[:CLOSE]])
+            alone = torch.cat([field.function(field.theta, point[None]) for point in points[:ALONE]])
             turned = field.function(field.theta, points.flip(0)).flip(0)
-            differs = max(_gap(values[:CLOSE], alone), _gap(values, turned)) > allowed
+            differs = max(_gap(values[:ALONE], alone), _gap(values, turned)) > allowed
             found = f"gave another alone than among {DRAWN}, or in another order"
         except TypeError as error:
             differs, found = True, f"fails at one alone or in another order ({first_line(error.__cause__ or error)})"

@@ -167,6 +167,7 @@ class _Copying:
         self.modules: list[nn.Module] = []
         self._tied: dict[Any, Tensor] = {}
         self._globals: dict[int, dict[str, Any]] = {}
+        self._classes: dict[type, dict[str, FunctionType]] = {}
 
     def of(self, value: Any) -> Any:
         """Return the frozen copy of anything; itself where nothing in it need be copied."""
@@ -240,14 +241,23 @@ class _Copying:
             else:
                 other = self.of(part)
                 # A list or dictionary that forward may write to: the copy has its own in any case.
-                made.__dict__[name] = copy.copy(part) if other is part and type(part) in _WRITABLE else other
+                made.__dict__[name] = part.copy() if other is part and type(part) in _WRITABLE else other
         made.__dict__["training"] = False
-        for kind in reversed(type(value).__mro__):
-            for name, method in vars(kind).items():
-                plain = getattr(method, "_torchdynamo_orig_callable", None)
-                if isinstance(plain, FunctionType):
-                    made.__dict__[name] = MethodType(plain, made)
+        for name, plain in self._compiled(type(value)).items():
+            made.__dict__[name] = MethodType(plain, made)
         return made
+
+    def _compiled(self, kind: type) -> dict[str, FunctionType]:
+        """Return the methods of a class that are compiled, as they were written."""
+        if kind not in self._classes:
+            self._classes[kind] = {
+                name: plain
+                for base in reversed(kind.__mro__)
+                if not _is_foreign(base.__module__)
+                for name, method in vars(base).items()
+                if isinstance(plain := getattr(method, "_torchdynamo_orig_callable", None), FunctionType)
+            }
+        return self._classes[kind]
 
     def _script(self, value: torch.jit.ScriptModule) -> nn.Module:
         made = copy.deepcopy(value).eval()
@@ -269,8 +279,10 @@ class _Copying:
                 self.places.setdefault(id(entry), []).append((holder, key))
 
     def _container(self, value: Any) -> Any:
+        if not value:
+            return value
         try:
-            made = copy.copy(value)
+            made = value.copy() if type(value) in _WRITABLE else copy.copy(value)
         except Exception:  # a class of the user's own whose copying fails: it is shared
             return value
         self.memo[id(value)] = (value, made)

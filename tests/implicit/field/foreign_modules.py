@@ -49,6 +49,8 @@ def each_linear(wrap, activation: type[nn.Module] = nn.Tanh) -> nn.Module:
         for k, part in enumerate(network):
             if isinstance(part, nn.Linear):
                 network[k] = wrap(part)
+        for _ in range(20):  # brings those vectors home, and leaves a product with a history in the older norms
+            network(torch.ones(1, 3))
     return Ball(network)
 
 
@@ -481,7 +483,7 @@ class ComplexWaves(nn.Module):
         )
 
     def forward(self, points):
-        waves = torch.exp(1j * (points.to(self.matrix.dtype) @ self.matrix)).real
+        waves = torch.exp(1j * (points.to(self.matrix.dtype) @ self.matrix)).real.to(points.dtype)
         return points.norm(dim=-1) - 0.5 + 0.02 * self.last(waves).squeeze(-1)
 
 

@@ -74,6 +74,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::FutureWarning"),
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),
     pytest.mark.filterwarnings("ignore:The module cannot be vectorised"),
+    pytest.mark.filterwarnings("ignore:None of the inputs have requires_grad"),
 ]
 
 Make = Callable[[], nn.Module]
@@ -93,6 +94,12 @@ def encoded_plainly(module: Any, points: torch.Tensor) -> torch.Tensor:
     """The same function as all encodings, whose live module takes no float64 itself."""
     phases = points @ torch.randn(3, 12, generator=torch.Generator().manual_seed(1)).double()
     return points.norm(dim=1) - 0.5 + 0.1 * module.last(torch.cat([phases.sin(), phases.cos()], dim=1))[:, 0]
+
+
+def complex_plainly(module: Any, points: torch.Tensor) -> torch.Tensor:
+    """The same in double precision, which `double()` gives no complex buffer."""
+    waves = torch.exp(1j * (points.to(torch.complex128) @ module.matrix.to(torch.complex128))).real
+    return points.norm(dim=1) - 0.5 + 0.02 * module.last(waves)[:, 0]
 
 
 # Name: the module, the options of Field, and how it is called plainly at points (N, 3), where not as module(points).
@@ -157,7 +164,7 @@ RIGHT: dict[str, tuple[Make, dict[str, Any], Callable[[Any, torch.Tensor], torch
     "parameters in a list beside": (Listed, {}, None),
     "recurrent": (Recurrent, {}, None),
     "voxels": (Voxels, {}, None),
-    "complex waves": (ComplexWaves, {}, None),
+    "complex waves": (ComplexWaves, {}, complex_plainly),
     "batch norm and dropout in training": (with_batch_norm, {}, None),
     "functional dropout": (lambda: FunctionalDropout(always=False), {}, None),
     "a head that is not used": (Unused, {}, None),
@@ -194,7 +201,7 @@ def test_a_foreign_module_is_right(name):
     """Value, gradient, basis, products, a small edit and what is written back, against the live module's own values."""
     _, field, plainly = made(name)
     generator = torch.Generator().manual_seed(4)
-    points = sample_surface(field, 12, resolution=16).points
+    points = sample_surface(field, 12, resolution=10).points
     torch.testing.assert_close(field.value(points), plainly(points), rtol=1e-6, atol=1e-7)  # float32 in some attributes
     gradients = field.gradient(points)
     for axis in range(3):
@@ -212,7 +219,7 @@ def test_a_foreign_module_is_right(name):
     # A small edit, seen by nobody until it is written back.
     before = plainly(points)
     handle = Handle(HalfSpace((0, 0.2, 0), (0, 1, 0)), Along(0.01))
-    edit = geometric_edit(field, handle, steps=1, points=40, resolution=12)
+    edit = geometric_edit(field, handle, steps=1, points=24, resolution=10)
     assert torch.equal(plainly(points), before)
     edited = edit.field.value(points)
     assert float((edited - before).abs().max()) > 1e-4
@@ -232,24 +239,24 @@ def test_no_call_leaves_a_trace_in_the_next(name):
     make = Caches if name == "caches" else RIGHT[name][0]
     module = make().double()
     field = Field(module)
-    points = sample_surface(field, 15, resolution=12).points
+    points = sample_surface(field, 15, resolution=10).points
     handle = Handle(HalfSpace((0, 0.2, 0), (0, 1, 0)), Along(0.01))
-    small = {"steps": 1, "points": 30}
+    small = {"steps": 1, "points": 20}
     operations = {
         "value": lambda: field.value(points),
         "hessian": lambda: field.hessian(points),
         "basis": lambda: basis(field, points),
         "slopes": lambda: parameter_gradient_and_slope(field, points),
         "displacement": lambda: normal_displacement(field, points, torch.ones_like(field.theta)),
-        "expressibility": lambda: torch.tensor(expressibility(field, handle, **small).error),
+        "expressibility": lambda: torch.as_tensor(expressibility(field, handle, **small).error),
         "float64": lambda: basis(field.to(torch.float32).to(torch.float64), points),
-        "mesh": lambda: torch.as_tensor(extract_mesh(field, 12)[0]),
-        "edit": lambda: geometric_edit(field, handle, resolution=12, **small).field.theta,
+        "mesh": lambda: torch.as_tensor(extract_mesh(field, 10)[0]),
+        "edit": lambda: geometric_edit(field, handle, resolution=10, **small).field.theta,
     }
     state = {key: value.clone() for key, value in module.state_dict().items()}
     alone = {key: operation() for key, operation in operations.items()}
-    order = list(operations)
-    for key in [*reversed(order), *order[::2], *order[1::2]]:
+    quick = [key for key in operations if key not in ("expressibility", "edit")]
+    for key in [*reversed(operations), *quick[::2], *quick[1::2]]:
         assert torch.equal(operations[key](), alone[key]), key
     assert all(torch.equal(value, module.state_dict()[key]) for key, value in state.items())
     kept = [v for part in module.modules() for v in part.__dict__.values() if isinstance(v, torch.Tensor)]
@@ -340,11 +347,12 @@ def test_a_check_can_be_left_out():
 
 
 def test_construction_draws_nothing_from_the_global_generator():
+    module = Noisy()
     torch.manual_seed(0)
     expected = torch.rand(3)
     torch.manual_seed(0)
     with pytest.raises(TypeError):
-        Field(Noisy())
+        Field(module)
     assert torch.equal(torch.rand(3), expected)
 
 
@@ -354,8 +362,8 @@ def test_half_precision_is_worked_on_in_single(dtype):
     field = Field(module)
     assert field.dtype == torch.float32
     assert "works on float32 copies" in field.notes[0]
-    assert "note" in repr(field)
-    points = sample_surface(field, 10, resolution=12).points
+    assert field.notes[0] in repr(field)
+    points = sample_surface(field, 10, resolution=10).points
     expected = Field(Ball(layers()).to(dtype).float()).value(points)
     assert torch.equal(field.value(points), expected)
     field.with_theta(field.theta * 1.5).write_back()
@@ -384,7 +392,7 @@ def test_merging_at_evaluation_is_not_done():
 def test_hooks_on_values_count_and_hooks_on_gradients_do_not():
     module = with_hooks().double()
     field = Field(module)
-    points = sample_surface(field, 8, resolution=12).points
+    points = sample_surface(field, 8, resolution=10).points
     torch.testing.assert_close(field.value(points), module(points).detach())
     step = 1e-6 * torch.ones(3, dtype=torch.float64)
     slope = (field.value(points + step) - field.value(points - step)) / 2e-6
@@ -418,13 +426,13 @@ def test_parameters_that_are_gone_are_not_written_back():
 @pytest.mark.parametrize("function", [OnceSine, SilentlyOnceSine])
 def test_missing_second_derivatives_are_refused_and_never_zero(function):
     field = Field(By(function).double())
-    points = sample_surface(field, 10, resolution=12).points
+    points = sample_surface(field, 10, resolution=10).points
     assert not field.twice_differentiable
     for call in (field.hessian, field.mean_curvature):
         with pytest.raises(ValueError, match="has no second derivatives, and so no curvature"):
             call(points)
     with pytest.raises(ValueError, match="has no second derivatives"):
-        smooth(field, steps=1, step_size=1e-4, points=30, resolution=12)
+        smooth(field, steps=1, step_size=1e-4, points=24, resolution=10)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -503,7 +511,7 @@ def test_a_decoder_round_a_trained_network_is_right(name, dtype):
     decoder = DECODERS[name]()
     latent = torch.tensor([0.3, -0.2], dtype=dtype)
     field = decoder_field(decoder, latent)
-    points = sample_surface(field, 10, resolution=12).points
+    points = sample_surface(field, 10, resolution=10).points
     rows = basis(field, points)
     assert rows.shape == (10, 2)
     assert not rows.requires_grad
@@ -514,7 +522,7 @@ def test_a_decoder_round_a_trained_network_is_right(name, dtype):
         expected = -change / (2 * step) / field.gradient(points).norm(dim=1)
         torch.testing.assert_close(rows[:, k], expected, rtol=1e-2 if dtype == torch.float32 else 1e-6, atol=1e-4)
     handle = Handle(HalfSpace((0, 0.2, 0), (0, 1, 0)), Along(0.01))
-    edit = geometric_edit(field, handle, steps=1, points=30, resolution=12, rest="free")
+    edit = geometric_edit(field, handle, steps=1, points=24, resolution=10, rest="free")
     assert not edit.displacement.requires_grad
     assert field.to(torch.float64).value(points.double()).dtype == torch.float64
     edit.field.write_back()
@@ -524,7 +532,7 @@ def test_a_decoder_round_a_trained_network_is_right(name, dtype):
 def test_the_network_in_a_function_is_left_as_it_was():
     network = network_with_code()
     field = decoder_field(lambda points, code: decoded(network, points, code), torch.zeros(2))
-    basis(field, sample_surface(field, 5, resolution=12).points)
+    basis(field, sample_surface(field, 5, resolution=10).points)
     assert network.training
     assert all(parameter.requires_grad for parameter in network.parameters())
     x = torch.rand(4, 5)
@@ -544,7 +552,7 @@ def test_the_network_in_a_function_is_left_as_it_was():
         (lambda x, z: (x.norm(dim=1) - 0.5 + z.sum(), x), {}, "output=0"),
         (lambda x, z: x[0].norm(dim=1) - 0.5 + z.sum(), {}, 'inputs="batched"'),
         (lambda x: x.norm(dim=1) - 0.5, {}, "positional argument"),
-        (lambda x, z: x.norm(dim=1) - 0.5 + z.sum() * torch.rand(1), {}, "same values each time"),
+        (lambda x, z: x.norm(dim=1) - 0.5 + z.sum() + 0.01 * torch.rand(1), {}, "same values each time"),
     ],
     ids=["no code", "detached code", "tuple", "batched", "one argument", "noise"],
 )
@@ -571,7 +579,7 @@ def test_a_decoder_takes_its_arguments_as_it_wants_them():
     latent = torch.tensor([0.3, -0.2], dtype=torch.float64)
     for weights in (None, ["*"]):
         field = decoder_field(Whole(), latent, inputs=joined, output=0, weights=weights)
-        points = sample_surface(field, 6, resolution=12).points
+        points = sample_surface(field, 6, resolution=10).points
         with torch.no_grad():
             expected = decoded(network.eval(), points, latent)
         torch.testing.assert_close(field.value(points), expected)
