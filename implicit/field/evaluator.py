@@ -287,7 +287,7 @@ def _selected(module: nn.Module, patterns: Iterable[str] | None) -> dict[str, nn
 def _require_made(module: nn.Module) -> None:
     """Refuse a module whose tensors hold no numbers yet."""
     for name, tensor in [*module.named_parameters(), *module.named_buffers()]:
-        if isinstance(tensor, nn.parameter.UninitializedTensorMixin):
+        if nn.parameter.is_lazy(tensor):
             raise ValueError(f"The module must be made, but {name} is lazy. Call it once with points, then give it.")
         if tensor.is_meta:
             raise ValueError(

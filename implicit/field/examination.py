@@ -320,15 +320,13 @@ def _moved_unseen(field: Field, points: Tensor, still: list) -> list[str]:  # ty
     size = _of_own_size(field)
     with torch.no_grad():
         values = field.function(field.theta, points)
-        written = field._evaluator.written
         for block in still[:20]:
             theta = field.theta.clone()
             theta[block.where] += 1e-3 * size[block.where]
             change = [field.function(theta, points)]
             if isinstance(field._evaluator, OfModule):
                 # What holds the parameter in a way that no replacement reaches shows once it is really written.
-                module = written(theta)
-                form = field._evaluator.form
+                module, form = field._evaluator.written(theta), field._evaluator.form
                 raw = form.values(module(*form.arguments(points))).reshape(len(points))
                 change.append((raw.to(points.dtype) - field.level) * field.sign)
             noise = 1e3 * torch.finfo(field.dtype).eps * float(values.abs().nan_to_num(0.0).max())

@@ -159,6 +159,9 @@ def _tangents(normals: Tensor, seed: int) -> list[Tensor]:
     if normals.shape[1] == 2:
         return [torch.stack([-normals[:, 1], normals[:, 0]], dim=1)]
     generator = torch.Generator().manual_seed(seed)
-    draw = torch.randn(normals.shape, generator=generator, dtype=torch.float64).to(normals)
-    first = torch.nn.functional.normalize(draw - (draw * normals).sum(dim=1, keepdim=True) * normals, dim=1)
-    return [first, torch.linalg.cross(normals, first)]
+    turn = 2 * torch.pi * torch.rand(len(normals), 1, generator=generator, dtype=torch.float64).to(normals)
+    # A direction drawn in space would be lost where it happens to be the normal: one of the plane is turned instead.
+    least = torch.nn.functional.one_hot(normals.abs().argmin(dim=1), 3).to(normals)
+    first = torch.nn.functional.normalize(torch.linalg.cross(normals, least), dim=1)
+    second = torch.linalg.cross(normals, first)
+    return [turn.cos() * first + turn.sin() * second, turn.cos() * second - turn.sin() * first]

@@ -78,7 +78,7 @@ def test_all_change_of_a_piecewise_linear_field_is_in_its_jumps(spacing):
 
 
 def test_a_sharp_softplus_jumps_at_wide_spacings_and_is_smooth_at_narrow_ones():
-    """softplus(100 z) / 100 bends within about 0.05: many times that it is a ReLU, a fiftieth of it a smooth function."""
+    """softplus(100 z) / 100 bends within about 0.05: at twice that it is a ReLU, at a fiftieth of it smooth."""
     field = Field(network(nn.Softplus(beta=100)))
     assert gradient_jumps(field, on_sphere(), 0.1).share > 0.5
     assert gradient_jumps(field, on_sphere(), 1e-3).share < 0.02
