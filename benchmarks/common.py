@@ -1,4 +1,4 @@
-"""What the benchmarks share: fields and meshes of one shape, what is left out where, and evaluations counted."""
+"""Parts that the benchmarks share: fields and meshes of one shape, rules to leave some out, counted evaluations."""
 
 from __future__ import annotations
 
@@ -72,8 +72,8 @@ def evaluations() -> Iterator[list[int]]:
 
 
 def _counting(method, counts):
-    def counted(self, points):
+    def counted(self, points, **options):
         counts.append(len(points))
-        return method(self, points)
+        return method(self, points, **options)
 
     return counted

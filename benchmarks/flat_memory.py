@@ -1,4 +1,4 @@
-"""Whether the memory of the long operations stays flat over a thousand steps: python benchmarks/flat_memory.py
+"""Memory of the long operations over a thousand steps, to show that it stays flat: python benchmarks/flat_memory.py
 
 Resident memory, as the system counts it, after a fifth of the steps and at the end, of tiny fields and meshes, so that
 the numbers of the fields themselves do not count. What grows is a leak, or a history.
@@ -35,7 +35,7 @@ def resident() -> float:
 
 def geometric(steps: int, progress: Progress) -> None:
     bump = implicit.Handle(implicit.Ball((0.5, 0, 0), 2.0), implicit.Along(0.05))
-    implicit.geometric_edit(BALL, bump, parts=steps, points=60, resolution=8, progress=progress)
+    implicit.geometric_edit(BALL, bump, steps=steps, points=60, resolution=8, progress=progress)
 
 
 def smooth(steps: int, progress: Progress) -> None:
@@ -53,8 +53,8 @@ def rigid(steps: int, progress: Progress) -> None:
 
 def semantic(steps: int, progress: Progress) -> None:
     sample = implicit.sample_surface(BALL, 20, resolution=8)
-    ways = 0.1 * sample.normals
-    implicit.semantic_edit(BALL, sample.points, ways, steps=steps, stride=5e-5, progress=progress)
+    displacement = 0.1 * sample.normals
+    implicit.semantic_edit(BALL, sample.points, displacement, steps=steps, stride=5e-5, progress=progress)
 
 
 def fit(steps: int, progress: Progress) -> None:

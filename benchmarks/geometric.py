@@ -18,7 +18,7 @@ class Geometric:
         self.bump = implicit.Handle(implicit.HalfSpace((0, 0.35, 0), (0, 1, 0), falloff=0.3), (0.0, 0.16, 0.0))
 
     def edit(self, parts, points, constraints=()):
-        return implicit.geometric_edit(self.field, self.bump, parts=parts, points=points, constraints=constraints)
+        return implicit.geometric_edit(self.field, self.bump, steps=parts, points=points, constraints=constraints)
 
     def time_edit(self, parts, points, dtype, device):
         self.edit(parts, points)
@@ -54,7 +54,7 @@ class Held:
 
     def edit(self):
         return implicit.geometric_edit(
-            self.field, self.bump, rest="free", parts=3, points=1000, constraints=(implicit.Volume(),)
+            self.field, self.bump, rest="free", steps=3, points=1000, constraints=(implicit.Volume(),)
         )
 
     def time_edit(self):

@@ -1,4 +1,4 @@
-"""What it costs to start: the imports of the packages, and the command."""
+"""Seconds to start: the imports of the packages, and the command."""
 
 
 class Import:
@@ -23,7 +23,7 @@ class Import:
     def timeraw_help_of_the_command(self):
         return """
         import contextlib, io, sys
-        from compare.cli import main
+        from compare.commands.cli import main
         with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
             main(["--help"])
         """
@@ -31,7 +31,7 @@ class Import:
     def timeraw_shapes_of_the_command(self):
         return """
         import contextlib, io, sys
-        from compare.cli import main
+        from compare.commands.cli import main
         with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
             main(["shapes"])
         """

@@ -16,8 +16,8 @@ class Arap:
 
     def setup(self, meshes, vertices):
         self.V, self.F = meshes[vertices]
-        self.handles, wanted = pull(self.V)
-        self.targets = self.V[self.handles] + wanted
+        self.handles, displacement = pull(self.V)
+        self.targets = self.V[self.handles] + displacement
 
     def arap(self, **options):
         return meshref.arap(self.V, self.F, self.handles, self.targets, **options)

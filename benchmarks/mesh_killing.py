@@ -18,10 +18,10 @@ class Killing:
 
     def setup(self, meshes, vertices, form, method):
         self.V, self.F = meshes[vertices]
-        self.handles, self.wanted = pull(self.V)
+        self.handles, self.displacement = pull(self.V)
 
     def solve(self, form, method):
-        return meshref.killing(self.V, self.F, self.handles, self.wanted, form=form, method=method)
+        return meshref.killing(self.V, self.F, self.handles, self.displacement, form=form, method=method)
 
     def time_killing(self, meshes, vertices, form, method):
         self.solve(form, method)
@@ -36,7 +36,7 @@ class Killing:
         return self.solve(form, method).residual
 
     def track_handle_error(self, meshes, vertices, form, method):
-        return self.solve(form, method).handle_error / float(np.abs(self.wanted).max())
+        return self.solve(form, method).handle_error / float(np.abs(self.displacement).max())
 
     def track_energy(self, meshes, vertices, form, method):
         return meshref.killing_energy(self.V, self.F, self.solve(form, method).displacement)
@@ -57,8 +57,8 @@ class Again:
 
     def setup(self, meshes, vertices):
         V, F = meshes[vertices]
-        handles, self.wanted = pull(V)
+        handles, self.displacement = pull(V)
         self.solver = meshref.KillingSolver(V, F, handles)
 
     def time_solve(self, meshes, vertices):
-        self.solver.solve(self.wanted)
+        self.solver.solve(self.displacement)

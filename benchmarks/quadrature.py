@@ -58,7 +58,7 @@ class Samples:
         implicit.sample_surface(self.field, points, method)
 
     def track_area_error(self, method, points):
-        """How far the sum of the weights is from the area."""
+        """Difference between the sum of the weights and the area."""
         area = float(implicit.surface_quadrature(self.field, 96).weights.sum())
         return abs(float(implicit.sample_surface(self.field, points, method).weights.sum()) / area - 1)
 

@@ -14,9 +14,10 @@ import torch
 import implicit
 import meshref
 from benchmarks.common import leave_out_if_slow, sizes, spot
-from compare.cases.case import Case, HandleSpec
+from compare.cases.case import Case
 from compare.cases.default_cases import default_cases
-from compare.runs.operations import wanted_motion
+from compare.cases.handles import HandleSpec
+from compare.runs.operations import target_motion
 from compare.runs.subject import prepare_subject
 from implicit.edits.trained_rigid_step import TrainedStep, trained_rigid_step
 
@@ -33,16 +34,16 @@ class Scene:
     def __init__(self, name: str) -> None:
         self.subject = prepare_subject(Case(name, "smooth"))
         (case,) = default_cases(name, self.subject.V, self.subject.N, operations=("rigid",))
-        self.wanted = wanted_motion(case, self.subject)
+        self.target = target_motion(case, self.subject)
         self.field = self.subject.field.to(torch.float64)
-        self.track = torch.from_numpy(self.subject.V)
+        self.tracked = torch.from_numpy(self.subject.V)
         self.handles = [
             HandleSpec(spec.region, {**spec.motion, "vector": [SMALL * v for v in spec.motion["vector"]]}).build()
             for spec in case.handles
         ]
 
     def step(self, points: int) -> implicit.Edit:
-        return implicit.rigid_edit(self.field, self.handles, points=points, track=self.track)
+        return implicit.rigid_edit(self.field, self.handles, points=points, track=self.tracked)
 
     def trained(self, points: int, iterations: int) -> TrainedStep:
         return trained_rigid_step(self.field, self.handles, points=points, iterations=iterations)
@@ -51,8 +52,8 @@ class Scene:
         """Membrane energy on the common mesh and the handles' error relative to their motion, of a small motion."""
         V, F = self.subject.V, self.subject.F
         D = displacement / SMALL
-        held, wanted = self.wanted.at, self.wanted.displacement
-        error = np.sqrt(((D - wanted)[held] ** 2).sum(axis=1).mean()) / np.linalg.norm(wanted, axis=1).max()
+        held, target = self.target.at, self.target.displacement
+        error = np.sqrt(((D - target)[held] ** 2).sum(axis=1).mean()) / np.linalg.norm(target, axis=1).max()
         return meshref.killing_energy(V, F, D), float(error)
 
     def mesh_energy(self, error: float) -> float:
@@ -61,12 +62,12 @@ class Scene:
         Below the least error of these it is that of hard handles.
         """
         V, F = self.subject.V, self.subject.F
-        held = np.flatnonzero(self.wanted.at)
+        held = np.flatnonzero(self.target.at)
         found = [
             self.measured(
                 SMALL
                 * meshref.killing(
-                    V, F, held, self.wanted.displacement[held], method="soft", penalty=float(penalty)
+                    V, F, held, self.target.displacement[held], method="soft", penalty=float(penalty)
                 ).displacement
             )
             for penalty in PENALTIES
@@ -102,31 +103,31 @@ class RigidStep:
 
     def track_energy(self, shape, points):
         edit = self.scene.step(points)
-        return self.scene.ratio((edit.tracked - self.scene.track).numpy())[2]
+        return self.scene.ratio((edit.tracked - self.scene.tracked).numpy())[2]
 
     def track_handle_error(self, shape, points):
         edit = self.scene.step(points)
-        return self.scene.measured((edit.tracked - self.scene.track).numpy())[1]
+        return self.scene.measured((edit.tracked - self.scene.tracked).numpy())[1]
 
     track_energy.unit = "of meshref.killing at the same handle error"
     track_handle_error.unit = "of the handles' motion"
 
 
-class Slides:
+class TangentialMotions:
     """The motion along the surface that follows from a given normal one."""
 
     params = sizes(["constant normals", "near-isometric"])
-    param_names = ("slide",)
+    param_names = ("tangential motion",)
 
-    def setup(self, slide):
+    def setup(self, method):
         self.field = spot("float64")
         self.points = implicit.sample_surface(self.field, 1000, "farthest").points
         generator = torch.Generator().manual_seed(0)
         self.d_theta = 1e-3 * torch.randn(len(self.field.theta), generator=generator, dtype=torch.float64)
-        self.slide = implicit.ConstantNormals() if slide == "constant normals" else implicit.NearIsometric()
+        self.motion = implicit.ConstantNormals() if method == "constant normals" else implicit.NearIsometric()
 
-    def time_slide(self, slide):
-        self.slide(self.field, self.d_theta, self.points)
+    def time_motion(self, method):
+        self.motion(self.field, self.d_theta, self.points)
 
 
 class TrainedNetwork:
@@ -162,7 +163,7 @@ def print_points(names: list[str], counts: list[int]) -> None:
             clock = time.perf_counter()
             edit = scene.step(points)
             seconds = time.perf_counter() - clock
-            energy, error, ratio = scene.ratio((edit.tracked - scene.track).numpy())
+            energy, error, ratio = scene.ratio((edit.tracked - scene.tracked).numpy())
             print(f"| {name} | {points} | {energy:.4g} | {error:.2%} | {ratio:.3f} | {seconds:.1f} |", flush=True)
 
 
@@ -173,7 +174,7 @@ def print_training(names: list[str], points: int, counts: list[int]) -> None:
         scene = Scene(name)
         for iterations in counts:
             s = scene.trained(points, iterations)
-            ratios = f"{s.energy / s.linear_energy:.2f} | {scene.ratio(s.displacement(scene.track).numpy())[2]:.2f}"
+            ratios = f"{s.energy / s.linear_energy:.2f} | {scene.ratio(s.displacement(scene.tracked).numpy())[2]:.2f}"
             seconds = f"{s.seconds:.1f} / {s.linear_seconds:.1f} = {s.seconds / s.linear_seconds:.1f}"
             print(f"| {name} | {iterations} | {ratios} | {seconds} |", flush=True)
 

@@ -40,7 +40,7 @@ class Step:
         self.field = self._field(level)
         placed, arrived = newton_to_surface(self.field, start, reach=0.5)
         self.points = placed[arrived][:POINTS]
-        self.ways = 0.01 * self.field.normal(self.points)
+        self.displacements = 0.01 * self.field.normal(self.points)
 
     def _field(self, level):
         return implicit.decoder_field(self.decoder, self.code, level=level, bounds=((-1, -1, -1), (1, 1, 1)))
@@ -54,7 +54,7 @@ class Step:
     def steps(self, count):
         # A stride so short that no edit is through before the last step.
         return implicit.semantic_edit(
-            self.field, self.points, self.ways, steps=count, stride=1e-4, tolerance=1e-3, damping=0.1
+            self.field, self.points, self.displacements, steps=count, stride=1e-4, tolerance=1e-3, damping=0.1
         )
 
     def time_pass(self, architecture):
@@ -99,10 +99,10 @@ class Edits:
         self.field = model.field(model.latents[0])
         feet = implicit.HalfSpace((0, -0.45 * model.scale, 0), (0, -1, 0))
         handle = implicit.Handle(feet, (0.0, 0.1 * model.scale, 0.0))
-        self.points, self.ways = implicit.prescribe(self.field, handle)
+        self.points, self.displacements = implicit.prescribe(self.field, handle)
 
     def edit(self):
-        return implicit.semantic_edit(self.field, self.points, self.ways)
+        return implicit.semantic_edit(self.field, self.points, self.displacements)
 
     def time_edit(self, name):
         self.edit()

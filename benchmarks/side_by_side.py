@@ -1,4 +1,4 @@
-"""What a user would take instead, against this package, in one run on one machine: python benchmarks/side_by_side.py
+"""Other libraries beside this package, in one run on one machine: python benchmarks/side_by_side.py
 
 Each row is timed at an accuracy that it states, both sides on the same problem, in turn, the best of three each; a row
 whose answer misses its accuracy says so and has no times. The rows are in the folder rows, a file each. Needs the extra

@@ -1,4 +1,4 @@
-"""What is asked of plain arguments; each refusal names the argument, what was wanted and what came."""
+"""Refusals of arguments that are numbers, words or tensors: each names the argument, the limits and what came."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def require_positive(name: str, value: Any, what: str = "number", *, or_zero: bo
     """Refuse what is no positive, finite number."""
     number = _number(value)
     if not (0 < number < math.inf or (or_zero and number == 0)):
-        wanted = f"a {what} of at least 0" if or_zero else f"a positive {what}"
-        raise ValueError(f"{name} must be {wanted}, but is {value!r}.")
+        limits = f"a {what} of at least 0" if or_zero else f"a positive {what}"
+        raise ValueError(f"{name} must be {limits}, but is {value!r}.")
 
 
 def require_finite(name: str, value: Any, what: str = "number") -> None:
@@ -37,13 +37,13 @@ def require_finite(name: str, value: Any, what: str = "number") -> None:
 
 
 def require_between(name: str, value: Any, lowest: float, below: float) -> None:
-    """Refuse what is no number from the lowest to below the other."""
+    """Refuse what is no number of at least `lowest` and less than `below`."""
     if not lowest <= _number(value) < below:
         raise ValueError(f"{name} must be a number of at least {lowest:g} and below {below:g}, but is {value!r}.")
 
 
 def require_choice(name: str, value: Any, options: Sequence[str]) -> None:
-    """Refuse what is none of some words."""
+    """Refuse what is none of the options."""
     if not isinstance(value, str) or value not in options:
         raise ValueError(f"{name} must be one of {', '.join(options)}, but is {value!r}.")
 
@@ -55,7 +55,7 @@ def require_callable(name: str, value: Any, what: str) -> None:
 
 
 def require_numbers(name: str, value: Any, shape: str) -> Tensor:
-    """The value as a tensor of finite numbers in float64, to be looked at; its shape is for the message alone."""
+    """Return the value as a tensor of finite numbers in float64, to be looked at; `shape` is for the message alone."""
     try:
         numbers = torch.as_tensor(value, dtype=torch.float64)
     except (TypeError, ValueError, RuntimeError) as error:
@@ -78,8 +78,18 @@ def require_tensor(name: str, value: Any, shape: Sequence[int], device: torch.de
         raise ValueError(f"{name} must be finite, but holds NaN or infinite numbers. Mend or leave out what made them.")
 
 
+def kind_of(tensor: Tensor) -> str:
+    """Return the precision and the device of a tensor in a few letters, such as "float32, cpu"."""
+    return f"{str(tensor.dtype).removeprefix('torch.')}, {tensor.device}"
+
+
+def counted(number: int, thing: str) -> str:
+    """Return a number with its noun, such as "1 point" or "2,273 points"."""
+    return f"{number:,} {thing}" if number == 1 else f"{number:,} {thing}s"
+
+
 def _number(value: Any) -> float:
-    """The value as a number; NaN, which fits no limits, where it is none."""
+    """Return the value as a number; NaN, which fits no limits, where it is none."""
     if isinstance(value, str | bool):
         return math.nan
     try:

@@ -1,4 +1,4 @@
-"""Files are written to the side and renamed, so that an interrupted write loses nothing."""
+"""Writing of files: to the side first and then renamed, so that an interrupted write loses nothing."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def as_path(path: str | PathLike[str]) -> Path:
-    """The path of a file, or a clear refusal of what is none."""
+    """Return the path of a file, or refuse what is none."""
     try:
         return Path(path)
     except TypeError as error:
@@ -56,7 +56,7 @@ def write_state(path: str | PathLike[str], tensors: Mapping[str, Tensor], header
 
 
 def read_state(path: str | PathLike[str]) -> tuple[dict[str, str], dict[str, Tensor]]:
-    """The header and the tensors that write_state wrote.
+    """Return the header and the tensors that write_state wrote.
 
     Raises:
         ValueError: The file is missing, cut short or of another kind.

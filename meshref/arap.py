@@ -21,17 +21,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshref.check import (
-    MeshError,
     check_mesh,
     handle_vectors,
-    place,
+    require_handle_on_each_part,
     require_positive,
     require_whole,
     vertex_field,
     vertex_indices,
 )
 from meshref.curvature import corner_cotangents
-from meshref.topology import FloatArray, IntArray, vertex_components
+from meshref.measures import opposite_sides
+from meshref.printing import brief
+from meshref.topology import FloatArray, IntArray
 
 
 def arap(
@@ -65,7 +66,7 @@ def arap(
 
 
 class ArapStatus(Enum):
-    """How an iteration ended."""
+    """End of an iteration; the value is the sentence a user reads."""
 
     CONVERGED = "The last iteration moved no vertex by more than the tolerance."
     ITERATIONS_SPENT = "The vertices were still moving after the last iteration; allow more of them."
@@ -83,7 +84,7 @@ class ArapStep(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ArapResult:
-    """A deformed mesh and how it came about."""
+    """A deformed mesh, its energy, and the history of the iteration."""
 
     V: FloatArray  # (n, 3), deformed vertices
     energy: float  # spokes and rims, squared length
@@ -91,6 +92,8 @@ class ArapResult:
     iterations: int
     status: ArapStatus
     seconds: Mapping[str, float]  # "factorisation", "start", "iterations"; the energies of the history not counted
+
+    __repr__ = brief
 
 
 class ArapSolver:
@@ -112,7 +115,7 @@ class ArapSolver:
         begin = perf_counter()
         self._V, self._F = check_mesh(V, F)
         self.handle_vertices = vertex_indices(handle_vertices, len(self._V), "handle_vertices")
-        _require_handle_on_each_part(self._V, self._F, self.handle_vertices)
+        require_handle_on_each_part(self._V, self._F, self.handle_vertices)
         # libigl fits its rotations in single precision: coordinates of order 1 about the origin lose least.
         self._middle = self._V.mean(axis=0)
         self._size = float(np.linalg.norm(self._V.max(axis=0) - self._V.min(axis=0)))
@@ -128,7 +131,7 @@ class ArapSolver:
     def solve(
         self, targets: ArrayLike, *, start: ArrayLike | None = None, iterations: int = 200, tolerance: float = 1e-5
     ) -> FloatArray:
-        """Deformed vertices (n, 3) for places of the handle vertices, (h, 3); see run."""
+        """Return deformed vertices (n, 3) for places of the handle vertices, (h, 3); see run."""
         return self.run(targets, start=start, iterations=iterations, tolerance=tolerance).V
 
     def run(
@@ -197,11 +200,11 @@ class ArapSolver:
         )
 
     def energy(self, U: ArrayLike) -> float:
-        """The energy of deformed vertices U (n, 3), a squared length."""
+        """Return the energy of deformed vertices U (n, 3), a squared length."""
         return _energy(self._V, self._F, vertex_field(U, self._V, "U"))
 
     def rigid_start(self, targets: ArrayLike) -> FloatArray:
-        """The rigid motion that fits the handles best, plus a biharmonic blend of what it leaves of them, (n, 3).
+        """Return the rigid motion that fits the handles best, plus a biharmonic blend of what it leaves, (n, 3).
 
         From a biharmonic start alone, 30 iterations leave an error of 2e-2 after a turn by 175 degrees.
         """
@@ -222,7 +225,7 @@ class ArapSolver:
 
 
 def arap_energy(V: ArrayLike, F: ArrayLike, U: ArrayLike) -> float:
-    """As-rigid-as-possible energy of moving the vertices from V to U, a squared length; 0 for rigid motions.
+    """Return the as-rigid-as-possible energy of moving the vertices from V to U, a squared length; 0 for rigid motions.
 
     Args:
         V: Vertices at rest, (n, 3).
@@ -237,7 +240,7 @@ def arap_energy(V: ArrayLike, F: ArrayLike, U: ArrayLike) -> float:
 
 
 def rigid_fit(P: FloatArray, Q: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rotation (3, 3) and translation (3,) with Q close to P @ rotation.T + translation in the least squares sense.
+    """Return the rotation (3, 3) and translation (3,) that bring P @ rotation.T + translation closest to Q.
 
     Where the points leave a turn open (a single point, or points on a line), the smallest turn is taken.
     Source: Kabsch 1976.
@@ -268,7 +271,7 @@ def _shortest_turn(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _nearest_rotations(S: FloatArray) -> FloatArray:
-    """Rotations R (k, 3, 3) that maximise trace(R^T S) for matrices S (k, 3, 3)."""
+    """Return the rotations R (k, 3, 3) that maximise trace(R^T S) for matrices S (k, 3, 3)."""
     left, _, right = np.linalg.svd(S)
     left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
     return np.asarray(left @ right)
@@ -276,8 +279,7 @@ def _nearest_rotations(S: FloatArray) -> FloatArray:
 
 def _energy(V: FloatArray, F: IntArray, U: FloatArray) -> float:
     half = corner_cotangents(V, F) / 2
-    at_rest = V[np.roll(F, -2, axis=1)] - V[np.roll(F, -1, axis=1)]
-    deformed = U[np.roll(F, -2, axis=1)] - U[np.roll(F, -1, axis=1)]
+    at_rest, deformed = opposite_sides(V, F), opposite_sides(U, F)
     covariance = np.einsum("fk,fkx,fky->fxy", half, deformed, at_rest).reshape(-1, 9)
     summed = [np.bincount(F.ravel(), weights=np.repeat(x, 3), minlength=len(V)) for x in covariance.T]
     R = _nearest_rotations(np.stack(summed, axis=1, dtype=np.float64).reshape(-1, 3, 3))
@@ -286,14 +288,3 @@ def _energy(V: FloatArray, F: IntArray, U: FloatArray) -> float:
         misfit = deformed - np.einsum("fxy,fky->fkx", R[F[:, corner]], at_rest)
         total += float(np.einsum("fk,fkx,fkx->", half, misfit, misfit))
     return total
-
-
-def _require_handle_on_each_part(V: FloatArray, F: IntArray, handles: IntArray) -> None:
-    parts, part = vertex_components(F, len(V))
-    without = np.setdiff1d(np.arange(parts), part[handles])
-    if without.size:
-        vertex = int(np.argmax(part == without[0]))
-        raise MeshError(
-            f"every connected part of the mesh needs a handle vertex, but {len(without)} of {parts} have none, first "
-            f"the part of vertex {vertex} at {place(V[vertex])}. Hold a vertex there, or drop the part with mend_mesh."
-        )

@@ -15,15 +15,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from meshref.check import MeshError, check_mesh, handle_vectors, vertex_indices
+from meshref.check import check_mesh, handle_vectors, require_handle_on_each_part, vertex_indices
 from meshref.curvature import laplacian
 from meshref.factor import Solver, factorise
 from meshref.measures import lumped_areas
-from meshref.topology import FloatArray, vertex_components
+from meshref.printing import brief
+from meshref.topology import FloatArray
 
 
 class BiharmonicStatus(Enum):
-    """How a solve ended; the value is the sentence a user reads."""
+    """End of a solve; the value is the sentence a user reads."""
 
     SOLVED = "The smoothest displacement that agrees with the handles was found."
     INACCURATE = "The mesh is too ill-shaped for the solver: the displacement is off by more than rounding."
@@ -31,13 +32,15 @@ class BiharmonicStatus(Enum):
 
 @dataclass(frozen=True, eq=False)
 class BiharmonicResult:
-    """A displacement of all vertices and how good it is."""
+    """A displacement of all vertices, its energy, and the residual of the equations."""
 
     displacement: FloatArray  # (n, 3), in the units of V
     energy: float  # the integral of |Lap d|^2, a pure number
     residual: float  # of the equations, relative to the sizes of their terms
     solver: str  # the library that did it
     status: BiharmonicStatus
+
+    __repr__ = brief
 
 
 def biharmonic(
@@ -58,14 +61,7 @@ def biharmonic(
     V, F = check_mesh(V, F)
     held = vertex_indices(handles, len(V))
     wanted = handle_vectors(displacements, held, "displacements")
-    parts, part = vertex_components(F, len(V))
-    without = np.setdiff1d(np.arange(parts), part[held])
-    if without.size:
-        vertex = int(np.flatnonzero(part == without[0])[0])
-        raise MeshError(
-            f"{without.size} of {parts} connected parts of the mesh hold no handle, the first round vertex {vertex}. "
-            "Hold at least one vertex of each, or leave that part out."
-        )
+    require_handle_on_each_part(V, F, held)
     L = laplacian(V, F)
     energy = sparse.csc_array(L @ sparse.diags_array(1 / lumped_areas(V, F)) @ L)
     d = np.zeros_like(V)

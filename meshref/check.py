@@ -15,7 +15,7 @@ import igl.predicates
 import numpy as np
 from numpy.typing import ArrayLike
 
-from meshref.topology import FloatArray, IntArray, corner_fans, disagreeing_pairs, edge_table
+from meshref.topology import FloatArray, IntArray, corner_fans, disagreeing_pairs, edge_table, vertex_components
 
 # libigl finds cotangents from edge lengths (Heron), which loses everything once the height of a triangle is
 # below the square root of the rounding unit times its longest edge: it then returns nan without a word.
@@ -80,7 +80,7 @@ def check_mesh(
 
 
 def as_arrays(V: ArrayLike, F: ArrayLike) -> tuple[FloatArray, IntArray]:
-    """The first part of check_mesh: shapes, number types, finite coordinates, and indices in range."""
+    """Return V and F with the right shapes and number types, finite coordinates, and indices in range."""
     vertices = finite_points(V, "V", "vertices")
     faces = _as_int64(F)
     if faces.ndim != 2 or faces.shape[1] != 3:
@@ -109,7 +109,7 @@ def as_arrays(V: ArrayLike, F: ArrayLike) -> tuple[FloatArray, IntArray]:
 
 
 def finite_points(points: ArrayLike, name: str, what: str) -> FloatArray:
-    """Points as a float64 array of shape (k, 3), all finite."""
+    """Return points as a float64 array of shape (k, 3), all finite."""
     try:
         array = np.asarray(points)
         if array.dtype.kind not in "fiu":
@@ -134,7 +134,7 @@ def finite_points(points: ArrayLike, name: str, what: str) -> FloatArray:
 
 
 def vertex_indices(indices: ArrayLike, n_vertices: int, name: str = "handles") -> IntArray:
-    """Distinct vertex numbers as an int64 array of shape (h,)."""
+    """Return distinct vertex numbers as an int64 array of shape (h,)."""
     array = _as_int64(indices, name)
     if array.ndim != 1 or len(array) == 0:
         raise MeshError(f"{name} must be a list of one or more vertex numbers, but has shape {array.shape}.")
@@ -154,7 +154,7 @@ def vertex_indices(indices: ArrayLike, n_vertices: int, name: str = "handles") -
 
 
 def handle_vectors(vectors: ArrayLike, handles: IntArray, name: str) -> FloatArray:
-    """One finite vector for each handle vertex, (h, 3)."""
+    """Return one finite vector for each handle vertex, (h, 3)."""
     array = finite_points(vectors, name, "handles")
     if len(array) != len(handles):
         raise MeshError(f"{name} must have a row for each of the {len(handles)} handles, but has {len(array)} rows.")
@@ -162,15 +162,31 @@ def handle_vectors(vectors: ArrayLike, handles: IntArray, name: str) -> FloatArr
 
 
 def vertex_field(field: ArrayLike, V: FloatArray, name: str = "D") -> FloatArray:
-    """One finite vector for each vertex, (n, 3)."""
+    """Return one finite vector for each vertex, (n, 3)."""
     array = finite_points(field, name, "vertices")
     if len(array) != len(V):
         raise MeshError(f"{name} must have a row for each of the {len(V)} vertices, but has {len(array)} rows.")
     return array
 
 
+def require_handle_on_each_part(V: FloatArray, F: IntArray, handles: IntArray) -> None:
+    """Refuse handles that leave a connected part of the mesh without any.
+
+    Raises:
+        MeshError: A part has no handle; the message names one of its vertices.
+    """
+    parts, part = vertex_components(F, len(V))
+    without = np.setdiff1d(np.arange(parts), part[handles])
+    if without.size:
+        vertex = int(np.argmax(part == without[0]))
+        raise MeshError(
+            f"every connected part of the mesh needs a handle vertex, but {len(without)} of {parts} have none, first "
+            f"the part of vertex {vertex} at {place(V[vertex])}. Hold a vertex there, or drop the part with mend_mesh."
+        )
+
+
 def intersecting_faces(V: FloatArray, F: IntArray) -> IntArray:
-    """Pairs of faces that pass through each other, (k, 2); faces that touch in corners of both do not count."""
+    """Return pairs of faces that pass through each other, (k, 2); those that only touch in corners do not count."""
     # libigl knows by the vertex numbers alone that neighbours may touch, so one place must have one number.
     places, number = np.unique(V + 0.0, axis=0, return_inverse=True)
     pairs = igl.predicates.find_self_intersections(places, number.reshape(-1)[F].astype(np.int64))[1]
@@ -178,7 +194,7 @@ def intersecting_faces(V: FloatArray, F: IntArray) -> IntArray:
 
 
 def relative_heights(V: FloatArray, F: IntArray) -> FloatArray:
-    """Height over the longest side of each face, as a part of that side, (m,): 0.87 if equilateral, 0 without area."""
+    """Return the height of each face over its longest side, as a part of it, (m,): 0.87 if equilateral, 0 if flat."""
     sides = V[F] - V[np.roll(F, -1, axis=1)]
     longest = (sides**2).sum(axis=2).max(axis=1)
     twice_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
@@ -213,7 +229,7 @@ def require_choice(name: str, value: Any, options: Sequence[object]) -> None:
 
 
 def place(point: FloatArray) -> str:
-    """A point as a reader of an error message wants it."""
+    """Return a point in words for an error message."""
     return "(" + ", ".join(f"{x:.6g}" for x in point) + ")"
 
 
@@ -303,7 +319,7 @@ def _require_solid(V: FloatArray, F: IntArray) -> None:
 
 
 def signed_volume(V: FloatArray, F: IntArray) -> float:
-    """Volume inside closed, consistently oriented faces: V . (V x V) / 6 summed over the faces.
+    """Return the volume inside closed, consistently oriented faces: V . (V x V) / 6 summed over the faces.
 
     The mean of the vertices is subtracted first: at a distance of 1e6 sizes from the origin the plain sum
     is wrong by a factor of 1e5, the centred one by no more than the rounding of the coordinates themselves.

@@ -16,14 +16,21 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from meshref.check import MeshError, check_mesh, require_choice
-from meshref.measures import doubled_area_vectors, lumped_areas, summed_normals
+from meshref.measures import (
+    doubled_area_vectors,
+    face_areas,
+    lumped_areas,
+    opposite_sides,
+    sides_at_corners,
+    summed_normals,
+)
 from meshref.topology import FloatArray, IntArray, edge_table
 
 Masses = Literal["voronoi", "barycentric"]
 
 
 def mean_curvature(V: ArrayLike, F: ArrayLike) -> FloatArray:
-    """Sum of the principal curvatures at each vertex, (n,), per unit of length.
+    """Return the sum of the principal curvatures at each vertex, (n,), per unit of length.
 
     Second order in the edge length on regular meshes. On a boundary, where the neighbours lie on one side only,
     it is not defined by the vertices: the entries there are nan.
@@ -48,7 +55,9 @@ def mean_curvature(V: ArrayLike, F: ArrayLike) -> FloatArray:
 def cotangent_laplacian(
     V: ArrayLike, F: ArrayLike, *, cotangents: tuple[float, float] | None = None
 ) -> sparse.csc_array:
-    """The positive semidefinite Laplacian L, (n, n): u^T L u is the integral of |grad u|^2 of the linear function u.
+    """Return the positive semidefinite Laplacian L, (n, n): u^T L u is the integral of |grad u|^2.
+
+    u is a number for each vertex, linear on each face.
 
     Args:
         V: Vertices, (n, 3).
@@ -65,7 +74,7 @@ def cotangent_laplacian(
 
 
 def mass_matrix(V: ArrayLike, F: ArrayLike, kind: Masses = "voronoi") -> sparse.csc_array:
-    """Diagonal matrix of the area that belongs to each vertex, (n, n); the areas add up to that of the surface.
+    """Return the diagonal matrix of the area that belongs to each vertex, (n, n); they add up to the surface.
 
     Args:
         V: Vertices, (n, 3).
@@ -93,7 +102,7 @@ def require_cotangents(cotangents: tuple[float, float] | None) -> None:
 
 
 def laplacian(V: FloatArray, F: IntArray, cotangents: tuple[float, float] | None = None) -> sparse.csc_array:
-    """What cotangent_laplacian returns, for a mesh that has been checked."""
+    """Return cotangent_laplacian of a mesh that has been checked."""
     cot = corner_cotangents(V, F)
     if cotangents is not None:
         cot = np.clip(cot, *cotangents)
@@ -105,24 +114,23 @@ def laplacian(V: FloatArray, F: IntArray, cotangents: tuple[float, float] | None
 
 
 def corner_cotangents(V: FloatArray, F: IntArray) -> FloatArray:
-    """Cotangent of the angle at each corner, (m, 3), as dot over cross product.
+    """Return the cotangent of the angle at each corner, (m, 3), as dot over cross product.
 
     libigl goes through the edge lengths instead, which returns nan on needles with a height of 1e-9 of their
     length: that is where flows of pinched necks used to end.
     """
-    to_next = V[np.roll(F, -1, axis=1)] - V[F]
-    to_last = V[np.roll(F, 1, axis=1)] - V[F]
+    to_next, to_last = sides_at_corners(V, F)
     doubled_area = np.linalg.norm(doubled_area_vectors(V, F), axis=1, keepdims=True)
     return np.asarray((to_next * to_last).sum(axis=2) / doubled_area)
 
 
 def voronoi_areas(V: FloatArray, F: IntArray) -> FloatArray:
-    """Area nearest to each vertex, (n,), with obtuse triangles cut in a half and two quarters."""
+    """Return the area nearest to each vertex, (n,), with obtuse triangles cut in a half and two quarters."""
     cot = corner_cotangents(V, F)
-    squared = ((V[np.roll(F, -1, axis=1)] - V[np.roll(F, -2, axis=1)]) ** 2).sum(axis=2)  # of the opposite side
+    squared = (opposite_sides(V, F) ** 2).sum(axis=2)
     part = squared * cot / 8  # each side gives this much to both of its ends
     voronoi = np.roll(part, -1, axis=1) + np.roll(part, -2, axis=1)
-    area = np.linalg.norm(doubled_area_vectors(V, F), axis=1, keepdims=True) / 2
+    area = face_areas(V, F)[:, None]
     obtuse = cot < 0
     of_corner = np.where(obtuse.any(axis=1, keepdims=True), np.where(obtuse, area / 2, area / 4), voronoi)
     return np.asarray(np.bincount(F.ravel(), weights=of_corner.ravel(), minlength=len(V)), dtype=np.float64)

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshref.check import check_mesh, finite_points
-from meshref.measures import doubled_area_vectors, summed_normals
+from meshref.measures import doubled_area_vectors, summed_normals, unit_or_zero
+from meshref.printing import brief
 from meshref.topology import FloatArray, IntArray, edge_table
 
 # Nearer to the surface than this part of the mesh's size, point minus nearest point is mostly rounding.
@@ -22,16 +23,19 @@ ON_SURFACE = 1e-8
 
 
 class SignedDistance(NamedTuple):
-    """Answers for k points."""
+    """Signed distances, nearest points, their faces, and normals of k points."""
 
     distance: FloatArray  # (k,), negative inside, in the length unit of V
     closest: FloatArray  # (k, 3), nearest point of the surface
     face: IntArray  # (k,), the face it lies on
     normal: FloatArray  # (k, 3), unit gradient of the distance; on the surface, the normal of the surface
 
+    def __repr__(self) -> str:
+        return brief(self)
+
 
 def signed_distance(V: ArrayLike, F: ArrayLike, P: ArrayLike) -> SignedDistance:
-    """Distance, nearest point, face and normal for points P (k, 3). For many sets of points use SignedDistanceQuery.
+    """Return distance, nearest point, face and normal of points P (k, 3); SignedDistanceQuery does so many times.
 
     Raises:
         MeshError: check_mesh refuses the mesh, or P is not k finite points.
@@ -65,7 +69,7 @@ class SignedDistanceQuery:
         self._normals: tuple[FloatArray, FloatArray, FloatArray] | None = None
 
     def __call__(self, P: ArrayLike) -> SignedDistance:
-        """Signed distances of points P, (k, 3)."""
+        """Return the signed distances of points P, (k, 3)."""
         points = finite_points(P, "P", "points") - self._middle
         if len(points) == 0:
             return SignedDistance(np.zeros(0), np.zeros((0, 3)), np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
@@ -76,18 +80,16 @@ class SignedDistanceQuery:
         normal = np.divide(away, distance[:, None], out=np.zeros_like(away), where=~on_surface[:, None])
         if on_surface.any():
             normal[on_surface] = self._surface_normals(face[on_surface], closest[on_surface])
-        length = np.linalg.norm(normal, axis=1, keepdims=True)
-        normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
-        return SignedDistance(sign * distance, closest + self._middle, face, normal)
+        return SignedDistance(sign * distance, closest + self._middle, face, unit_or_zero(normal))
 
     def distance(self, P: ArrayLike) -> tuple[FloatArray, IntArray]:
-        """Unsigned distance (k,) and nearest face (k,) of points P, (k, 3): half the work of a full answer."""
+        """Return unsigned distance (k,) and nearest face (k,) of points P, (k, 3): half the work of a full answer."""
         points = finite_points(P, "P", "points") - self._middle
         distance, face, _ = self._nearest(points) if len(points) else (np.zeros(0), np.zeros(0, dtype=np.int64), points)
         return distance, face
 
     def inside(self, P: ArrayLike) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        """Whether the surface winds round each of the points P, (k, 3), by more than half."""
+        """Return True, (k,), for each of the points P, (k, 3), that the surface winds round by more than half."""
         points = finite_points(P, "P", "points") - self._middle
         if len(points) == 0:
             return np.zeros(0, dtype=np.bool_)
@@ -102,7 +104,7 @@ class SignedDistanceQuery:
         return np.asarray(self._winding.winding_number(points)).reshape(-1)
 
     def _surface_normals(self, face: IntArray, closest: FloatArray) -> FloatArray:
-        """Normal of the face, the edge (sum of its faces) or the vertex (sum by angle) that each point lies on."""
+        """Return the normal of the face, edge (sum of its faces) or vertex (sum by angle) that each point lies on."""
         if self._normals is None:
             self._normals = _feature_normals(self._V, self._F)
         of_face, of_edge, of_vertex = self._normals
@@ -120,9 +122,7 @@ class SignedDistanceQuery:
 
 
 def _feature_normals(V: FloatArray, F: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    doubled = doubled_area_vectors(V, F)
-    length = np.linalg.norm(doubled, axis=1, keepdims=True)
-    of_face = np.divide(doubled, length, out=np.zeros_like(doubled), where=length > 0)
+    of_face = unit_or_zero(doubled_area_vectors(V, F))
     table = edge_table(F, len(V))
     of_half_edge = np.repeat(of_face, 3, axis=0)
     k = len(table.edges)

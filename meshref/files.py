@@ -23,7 +23,7 @@ FORMATS = {".obj": obj, ".off": off, ".ply": ply, ".stl": stl}
 
 
 def read_mesh(path: str | os.PathLike[str]) -> tuple[FloatArray, IntArray]:
-    """Vertices V (n, 3) and faces F (m, 3) of a mesh file.
+    """Return vertices V (n, 3) and faces F (m, 3) of a mesh file.
 
     The order of vertices and faces is that of the file. Polygons are split into a fan of triangles. Texture
     coordinates, normals and colours are left out, so a seam of texture coordinates in an .obj does not tear the

@@ -28,6 +28,7 @@ from meshref.check import check_mesh, require_choice, require_positive, require_
 from meshref.curvature import laplacian, require_cotangents, voronoi_areas
 from meshref.factor import NotPositiveDefiniteError, Solver, factorise
 from meshref.measures import face_areas, solid_centroid, sphericity_of, volume_gradient
+from meshref.printing import brief
 from meshref.topology import FloatArray, IntArray
 
 Method = Literal["conformalised", "semi-implicit", "explicit"]
@@ -41,7 +42,7 @@ COLLAPSED = 1e-6
 
 
 class FlowStatus(Enum):
-    """How a flow ended."""
+    """End of a flow; the value is the sentence a user reads."""
 
     FINISHED = "All steps were taken."
     COLLAPSED = "The shape has shrunk to a point; the shape before that is returned. Take fewer or smaller steps."
@@ -64,13 +65,15 @@ class FlowStep(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FlowResult:
-    """A smoothed mesh and how it came about."""
+    """A smoothed mesh and the history of the flow."""
 
     V: FloatArray  # (n, 3), the vertices after the last good step; the faces stay
     history: tuple[FlowStep, ...]  # the start and every step taken
     status: FlowStatus
     steps_taken: int
     snapshots: tuple[FloatArray, ...]  # vertices (n, 3) at the start and after every snapshot_every steps, if asked for
+
+    __repr__ = brief
 
 
 def mean_curvature_flow(
@@ -148,7 +151,9 @@ def mean_curvature_flow(
 
 
 def explicit_step_limit(V: ArrayLike, F: ArrayLike) -> float:
-    """Largest step_size for which the explicit method is stable, a squared length: 2 / (largest eigenvalue of M^-1 L).
+    """Return the largest step_size at which the explicit method is stable: 2 / (largest eigenvalue of M^-1 L).
+
+    It is a squared length.
 
     The worst triangle sets it: for the bunny it is a hundredth of the mean squared edge length.
 
@@ -200,7 +205,7 @@ def _failure(X: FloatArray, F: IntArray, last: FlowStep, first_volume: float, me
 
 
 def _restore(X: FloatArray, F: IntArray, wanted: float, how: Literal["newton", "rescale"]) -> FloatArray | None:
-    """Vertices with the wanted volume, to 1e-12, or None."""
+    """Return vertices with the wanted volume, to 1e-12, or None."""
     if how == "newton":
         gradient = volume_gradient(X, F)
         direction = gradient / np.linalg.norm(gradient, axis=1, keepdims=True).clip(min=1e-300)  # zero stays zero

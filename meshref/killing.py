@@ -1,4 +1,4 @@
-"""How far a displacement field is from a rigid motion: energies, and the field that has the least of it.
+"""Energies of a displacement field by its distance from a rigid motion, and the field that has the least of them.
 
     E(d) = integral over the surface of | P (J + J^T) P |_F^2,     J = grad d,  P = I - n n^T           ("membrane")
 
@@ -46,8 +46,9 @@ from meshref.check import (
 )
 from meshref.curvature import corner_cotangents, laplacian
 from meshref.factor import Solver, factorise
-from meshref.measures import doubled_area_vectors, lumped_areas
+from meshref.measures import doubled_area_vectors, face_areas, lumped_areas, opposite_sides
 from meshref.metrics import handle_error
+from meshref.printing import brief
 from meshref.topology import FloatArray, IntArray, vertex_components
 
 Form = Literal["membrane", "spokes-and-rims", "spokes", "ambient", "notebook"]
@@ -71,7 +72,7 @@ def killing(
     handle_weights: ArrayLike | None = None,
     solver: Solver = "auto",
 ) -> KillingResult:
-    """The displacement field closest to a rigid motion that moves the handle vertices as told.
+    """Return the displacement field closest to a rigid motion that moves the handle vertices as told.
 
     Args:
         V: Vertices, (n, 3).
@@ -90,7 +91,7 @@ def killing(
 
 
 class KillingStatus(Enum):
-    """How a solve ended."""
+    """End of a solve; the value is the sentence a user reads."""
 
     SOLVED = "The displacement minimises the energy."
     INACCURATE = "The linear system is so ill-conditioned that its solution has a large residual; do not trust it."
@@ -98,7 +99,7 @@ class KillingStatus(Enum):
 
 @dataclass(frozen=True, eq=False)
 class KillingResult:
-    """A displacement field and how well it does what was asked."""
+    """A displacement field, its energy, the error at the handles, and the residual."""
 
     displacement: FloatArray  # (n, 3), add to V
     energy: float  # in the form that was minimised, squared length
@@ -108,9 +109,13 @@ class KillingResult:
     solver: str  # the library that factorised
     seconds: Mapping[str, float]  # "assembly", "factorisation", "solve"
 
+    __repr__ = brief
+
 
 def killing_energy(V: ArrayLike, F: ArrayLike, D: ArrayLike, form: Form = "membrane") -> float:
-    """Killing energy of a displacement field, a squared length: 0 for a rigid motion, 32 pi for d = n on a unit sphere.
+    """Return the Killing energy of a displacement field, a squared length.
+
+    It is 0 for a rigid motion, and 32 pi for d = n on a unit sphere.
 
     Args:
         V: Vertices, (n, 3).
@@ -128,7 +133,7 @@ def killing_energy(V: ArrayLike, F: ArrayLike, D: ArrayLike, form: Form = "membr
         return float(_spokes_and_rims_energy(V, F, D))
     if form == "spokes":
         return float(_spokes_energy(V, F, D))
-    weights = np.ones(len(F)) if form == "notebook" else np.linalg.norm(doubled_area_vectors(V, F), axis=1) / 2
+    weights = np.ones(len(F)) if form == "notebook" else face_areas(V, F)
     J = displacement_gradients(V, F, D)
     return float(weights @ (_membrane_density(V, F, J) if form == "membrane" else _ambient_density(J)))
 
@@ -136,7 +141,9 @@ def killing_energy(V: ArrayLike, F: ArrayLike, D: ArrayLike, form: Form = "membr
 def killing_energy_density(
     V: ArrayLike, F: ArrayLike, D: ArrayLike, form: Literal["membrane", "ambient"] = "membrane"
 ) -> FloatArray:
-    """Killing energy per area of each face, (m,), a pure number: its sum weighted by the faces' areas is the energy.
+    """Return the Killing energy per area of each face, (m,), a pure number.
+
+    Its sum weighted by the faces' areas is the energy.
 
     Args:
         V: Vertices, (n, 3).
@@ -231,7 +238,7 @@ class KillingSolver:
         self.seconds = MappingProxyType({"assembly": assembled - start, "factorisation": perf_counter() - assembled})
 
     def solve(self, displacements: ArrayLike) -> FloatArray:
-        """Displacement of every vertex, (n, 3), for displacements of the handle vertices, (h, 3)."""
+        """Return the displacement of every vertex, (n, 3), for displacements of the handle vertices, (h, 3)."""
         return self.run(displacements).displacement
 
     def run(self, displacements: ArrayLike) -> KillingResult:
@@ -280,7 +287,7 @@ def require_rigid_handles(V: FloatArray, F: IntArray, handles: IntArray) -> None
 
 
 def energy_matrix(V: FloatArray, F: IntArray, form: Form) -> sparse.csc_array:
-    """The matrix Q, (3n, 3n), with d.ravel() @ Q @ d.ravel() the energy of d (n, 3), for a checked mesh."""
+    """Return the matrix Q, (3n, 3n), with d.ravel() @ Q @ d.ravel() the energy of d (n, 3), for a checked mesh."""
     if form in ("spokes", "spokes-and-rims"):
         return _cell_matrix(V, F, form)
     operator, weights = _strain_operator(V, F, form)
@@ -288,15 +295,18 @@ def energy_matrix(V: FloatArray, F: IntArray, form: Form) -> sparse.csc_array:
 
 
 def displacement_gradients(V: FloatArray, F: IntArray, D: FloatArray) -> FloatArray:
-    """Gradient J (m, 3, 3) of the piecewise linear field: J[f, x, y] = d(d_x)/dy, zero along the normal."""
+    """Return the gradient J (m, 3, 3) of the piecewise linear field: J[f, x, y] = d(d_x)/dy, zero along the normal."""
     return np.asarray(np.einsum("fkx,fky->fxy", D[F], hat_gradients(V, F)))
 
 
 def hat_gradients(V: FloatArray, F: IntArray) -> FloatArray:
-    """Gradient (m, 3, 3) of the linear function that is 1 at a corner and 0 at the others: n x (opposite side) / 2A."""
+    """Return the gradient of the linear function that is 1 at a corner and 0 at the others, (m, 3, 3).
+
+    It is n x (opposite side) / 2A.
+    """
     doubled = doubled_area_vectors(V, F)
     scaled_normal = doubled / (doubled**2).sum(axis=1, keepdims=True)  # n / 2A
-    opposite = V[np.roll(F, -2, axis=1)] - V[np.roll(F, -1, axis=1)]
+    opposite = opposite_sides(V, F)
     return np.asarray(np.cross(scaled_normal[:, None, :], opposite))
 
 
@@ -311,7 +321,7 @@ def _ambient_density(J: FloatArray) -> FloatArray:
 
 
 def _tangents(V: FloatArray, F: IntArray) -> FloatArray:
-    """Two orthonormal vectors in the plane of each face, (m, 2, 3)."""
+    """Return two orthonormal vectors in the plane of each face, (m, 2, 3)."""
     side = V[F[:, 1]] - V[F[:, 0]]
     first = side / np.linalg.norm(side, axis=1, keepdims=True)
     normal = doubled_area_vectors(V, F)
@@ -320,7 +330,7 @@ def _tangents(V: FloatArray, F: IntArray) -> FloatArray:
 
 
 def _strain_operator(V: FloatArray, F: IntArray, form: Form) -> tuple[sparse.csr_array, FloatArray]:
-    """Rows of J + J^T of every face, in its plane or in space, and the weight of each row's square."""
+    """Return the rows of J + J^T of every face, in its plane or in space, and the weight of each row's square."""
     G = hat_gradients(V, F)
     m, axes = len(F), np.eye(3)
     if form == "membrane":
@@ -339,7 +349,7 @@ def _strain_operator(V: FloatArray, F: IntArray, form: Form) -> tuple[sparse.csr
     pointer = np.arange(0, 9 * m * r + 1, 9)
     operator = sparse.csr_array((rows.reshape(-1), columns.reshape(-1), pointer), shape=(m * r, 3 * len(V)))
     twice = np.array([1.0 if a == b else 2.0 for a, b in pairs])  # an entry off the diagonal stands for two
-    area = np.ones(m) if form == "notebook" else np.linalg.norm(doubled_area_vectors(V, F), axis=1) / 2
+    area = np.ones(m) if form == "notebook" else face_areas(V, F)
     return operator, np.outer(area, twice).ravel()
 
 
@@ -376,17 +386,16 @@ def _cell_matrix(V: FloatArray, F: IntArray, form: Form) -> sparse.csc_array:
 
 def _rim_moments(V: FloatArray, F: IntArray) -> FloatArray:
     doubled = doubled_area_vectors(V, F)
-    area = np.linalg.norm(doubled, axis=1)[:, None, None] / 2
+    area = face_areas(V, F)[:, None, None]
     of_face = area * np.eye(3) + doubled[:, :, None] * doubled[:, None, :] / (4 * area)
     incidence = sparse.csr_array((np.ones(F.size), (F.ravel(), np.arange(F.size) // 3)), shape=(len(V), len(F)))
     return np.asarray(incidence @ of_face.reshape(-1, 9)).reshape(-1, 3, 3)
 
 
 def _rim_moment_arms(V: FloatArray, F: IntArray) -> list[sparse.csr_array]:
-    """The x, y and z parts of U for spokes and rims: three (n, n) matrices that share one pattern."""
+    """Return the x, y and z parts of U for spokes and rims: three (n, n) matrices that share one pattern."""
     half = corner_cotangents(V, F) / 2
-    # The edge e opposite to corner k runs from corner k + 1 to corner k + 2.
-    opposite = half[:, :, None] * (V[np.roll(F, -2, axis=1)] - V[np.roll(F, -1, axis=1)])  # c e
+    opposite = half[:, :, None] * opposite_sides(V, F)  # c e
     # Corner k ends the edge opposite to k+1 and starts the edge opposite to k+2: delta = d_end - d_start.
     arm = np.roll(opposite, -1, axis=1) - np.roll(opposite, -2, axis=1)
     cell = np.repeat(F, 3, axis=1).ravel()  # each face belongs to the cells of its three corners
@@ -416,7 +425,7 @@ def _alike(entries: list[tuple[FloatArray, IntArray, IntArray]], n: int) -> list
 
 
 def cross_matrices(u: FloatArray) -> FloatArray:
-    """The matrices (k, 3, 3) that take d to u x d."""
+    """Return the matrices (k, 3, 3) that take d to u x d."""
     zero = np.zeros(len(u))
     x, y, z = u.T
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
@@ -436,8 +445,7 @@ def _symmetric_pseudo_inverse(A: FloatArray) -> FloatArray:
 
 def _spokes_and_rims_energy(V: FloatArray, F: IntArray, D: FloatArray) -> float:
     half = corner_cotangents(V, F) / 2
-    e = V[np.roll(F, -2, axis=1)] - V[np.roll(F, -1, axis=1)]
-    delta = D[np.roll(F, -2, axis=1)] - D[np.roll(F, -1, axis=1)]
+    e, delta = opposite_sides(V, F), opposite_sides(D, F)
     b_of_face = np.einsum("fk,fkx->fx", half, np.cross(e, delta))
     b = np.stack([np.bincount(F.ravel(), weights=np.repeat(x, 3), minlength=len(V)) for x in b_of_face.T], axis=1)
     w = np.linalg.solve(_rim_moments(V, F), b[:, :, None])[:, :, 0]

@@ -17,7 +17,7 @@ from meshref.topology import FloatArray, IntArray, edge_table, vertex_components
 
 
 def volume(V: ArrayLike, F: ArrayLike) -> float:
-    """Signed volume inside a closed mesh, in cubed length units; negative if the faces are oriented inwards.
+    """Return the signed volume inside a closed mesh, in cubed length units; negative if the faces are oriented inwards.
 
     Relative error below 1e-12 even 1e6 sizes away from the origin, for the coordinates as they are rounded.
 
@@ -34,13 +34,13 @@ def volume(V: ArrayLike, F: ArrayLike) -> float:
 
 
 def area(V: ArrayLike, F: ArrayLike) -> float:
-    """Area of the surface, in squared length units; the mesh may be open."""
+    """Return the area of the surface, in squared length units; the mesh may be open."""
     V, F = check_mesh(V, F, degenerate="allow")
     return float(face_areas(V, F).sum())
 
 
 def centroid(V: ArrayLike, F: ArrayLike) -> FloatArray:
-    """Centre of mass (3,) of the solid inside a closed mesh.
+    """Return the centre of mass (3,) of the solid inside a closed mesh.
 
     Raises:
         MeshError: The mesh is open, or encloses no volume.
@@ -50,7 +50,7 @@ def centroid(V: ArrayLike, F: ArrayLike) -> FloatArray:
 
 
 def second_moment(V: ArrayLike, F: ArrayLike) -> FloatArray:
-    """Integral of (x - c)(x - c)^T over the solid inside, (3, 3), about its centroid c; length to the fifth.
+    """Return the integral of (x - c)(x - c)^T over the solid inside, (3, 3), c its centroid; length to the fifth.
 
     The integral of a linear-times-linear function over a tetrahedron 0abc with s = a + b + c is
     det(a, b, c) / 120 (a a^T + b b^T + c c^T + s s^T).
@@ -66,7 +66,7 @@ def second_moment(V: ArrayLike, F: ArrayLike) -> FloatArray:
 
 
 def sphericity(V: ArrayLike, F: ArrayLike) -> float:
-    """Area of the ball of the same volume over the area of the mesh: 1 for a sphere, less for all else.
+    """Return the area of the ball of the same volume over that of the mesh: 1 for a sphere, less for all else.
 
     Raises:
         MeshError: The mesh is open.
@@ -76,18 +76,18 @@ def sphericity(V: ArrayLike, F: ArrayLike) -> float:
 
 
 def sphericity_of(volume: float, area: float) -> float:
-    """Sphericity of a solid of this volume and area."""
+    """Return the sphericity of a solid of this volume and area."""
     return float(np.pi ** (1 / 3) * (6 * abs(volume)) ** (2 / 3) / area)
 
 
 def euler_number(V: ArrayLike, F: ArrayLike) -> int:
-    """Vertices minus edges plus faces: 2 for a sphere, 0 for a torus, 1 for a disk; parts add up."""
+    """Return vertices minus edges plus faces: 2 for a sphere, 0 for a torus, 1 for a disk; parts add up."""
     V, F = check_mesh(V, F, degenerate="allow")
     return len(V) - len(edge_table(F, len(V)).edges) + len(F)
 
 
 def genus(V: ArrayLike, F: ArrayLike) -> int:
-    """Number of handles of a closed mesh: 0 for a sphere, 1 for a torus; parts add up.
+    """Return the number of handles of a closed mesh: 0 for a sphere, 1 for a torus; parts add up.
 
     Raises:
         MeshError: The mesh is open.
@@ -97,26 +97,26 @@ def genus(V: ArrayLike, F: ArrayLike) -> int:
 
 
 def components(V: ArrayLike, F: ArrayLike) -> IntArray:
-    """Number of the connected part of each vertex, (n,), counted from 0 in the order of the vertices."""
+    """Return the number of the connected part of each vertex, (n,), counted from 0 in the order of the vertices."""
     V, F = check_mesh(V, F, degenerate="allow")
     return vertex_components(F, len(V))[1]
 
 
 def component_count(V: ArrayLike, F: ArrayLike) -> int:
-    """Number of connected parts; parts that share a vertex are one."""
+    """Return the number of connected parts; parts that share a vertex are one."""
     V, F = check_mesh(V, F, degenerate="allow")
     return vertex_components(F, len(V))[0]
 
 
 def face_normals(V: ArrayLike, F: ArrayLike) -> FloatArray:
-    """Unit normal of each face, (m, 3), pointing out if the faces are counterclockwise seen from outside."""
+    """Return the unit normal of each face, (m, 3), pointing out if faces are counterclockwise seen from outside."""
     V, F = check_mesh(V, F)
     doubled = doubled_area_vectors(V, F)
     return np.asarray(doubled / np.linalg.norm(doubled, axis=1, keepdims=True))
 
 
 def vertex_normals(V: ArrayLike, F: ArrayLike, weighting: Literal["angle", "area"] = "angle") -> FloatArray:
-    """Unit normal at each vertex, (n, 3): the mean of the faces around it.
+    """Return the unit normal at each vertex, (n, 3): the mean of the faces around it.
 
     Args:
         V: Vertices, (n, 3).
@@ -139,34 +139,53 @@ def vertex_normals(V: ArrayLike, F: ArrayLike, weighting: Literal["angle", "area
 
 
 def vertex_areas(V: ArrayLike, F: ArrayLike) -> FloatArray:
-    """A third of the area of the faces round each vertex, (n,): the weights of lumped integrals over the surface."""
+    """Return a third of the area of the faces round each vertex, (n,): the weights of lumped integrals."""
     V, F = check_mesh(V, F, degenerate="allow")
     return lumped_areas(V, F)
 
 
 def face_areas(V: FloatArray, F: IntArray) -> FloatArray:
-    """Area of each face, (m,)."""
+    """Return the area of each face, (m,)."""
     return np.asarray(np.linalg.norm(doubled_area_vectors(V, F), axis=1) / 2)
 
 
 def doubled_area_vectors(V: FloatArray, F: IntArray) -> FloatArray:
-    """Normal of each face times twice its area, (m, 3)."""
+    """Return the normal of each face times twice its area, (m, 3)."""
     return np.asarray(np.cross(V[F[:, 1]] - V[F[:, 0]], V[F[:, 2]] - V[F[:, 0]]))
 
 
+def opposite_sides(V: FloatArray, F: IntArray) -> FloatArray:
+    """Return the side opposite to each corner, (m, 3, 3): from corner k + 1 to corner k + 2 of the face.
+
+    V may hold any vector for each vertex: of displacements, it is how much they differ along that side.
+    """
+    return np.asarray(V[np.roll(F, -2, axis=1)] - V[np.roll(F, -1, axis=1)])
+
+
+def sides_at_corners(V: FloatArray, F: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return the sides from each corner to the next and to the last corner of its face, twice (m, 3, 3)."""
+    return V[np.roll(F, -1, axis=1)] - V[F], V[np.roll(F, 1, axis=1)] - V[F]
+
+
+def unit_or_zero(vectors: FloatArray) -> FloatArray:
+    """Return vectors (k, 3) at length 1; those of length 0 stay so."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
+
+
 def lumped_areas(V: FloatArray, F: IntArray) -> FloatArray:
-    """What vertex_areas returns, for a mesh that has been checked."""
+    """Return vertex_areas of a mesh that has been checked."""
     thirds = np.repeat(face_areas(V, F) / 3, 3)
     return np.asarray(np.bincount(F.ravel(), weights=thirds, minlength=len(V)), dtype=np.float64)
 
 
 def volume_gradient(V: FloatArray, F: IntArray) -> FloatArray:
-    """Derivative of the volume with respect to each vertex, (n, 3): a third of the area vectors of its faces."""
+    """Return the derivative of the volume by each vertex, (n, 3): a third of the area vectors of its faces."""
     return scatter_to_vertices(F, np.repeat(doubled_area_vectors(V, F) / 6, 3, axis=0), len(V))
 
 
 def solid_centroid(V: FloatArray, F: IntArray) -> FloatArray:
-    """What centroid returns, for a mesh that has been checked."""
+    """Return the centroid of a mesh that has been checked."""
     middle = V.mean(axis=0)
     corners = (V - middle)[F]
     six_volumes = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
@@ -176,20 +195,18 @@ def solid_centroid(V: FloatArray, F: IntArray) -> FloatArray:
 
 
 def corner_angles(V: FloatArray, F: IntArray) -> FloatArray:
-    """Angle of each face at each corner, (m, 3), in radians."""
-    to_next = V[np.roll(F, -1, axis=1)] - V[F]
-    to_last = V[np.roll(F, 1, axis=1)] - V[F]
+    """Return the angle of each face at each corner, (m, 3), in radians."""
+    to_next, to_last = sides_at_corners(V, F)
     sine = np.linalg.norm(np.cross(to_next, to_last), axis=2)
     return np.asarray(np.arctan2(sine, (to_next * to_last).sum(axis=2)))
 
 
 def summed_normals(V: FloatArray, F: IntArray, weighting: Literal["angle", "area"]) -> FloatArray:
-    """Weighted sum of the face normals round each vertex, (n, 3), not normalised; a face without area adds nothing."""
+    """Return the weighted sum of the face normals round each vertex, (n, 3); a face without area adds nothing."""
     doubled = doubled_area_vectors(V, F)
     if weighting == "area":
         return scatter_to_vertices(F, np.repeat(doubled / 2, 3, axis=0), len(V))
-    length = np.linalg.norm(doubled, axis=1, keepdims=True)
-    unit = np.divide(doubled, length, out=np.zeros_like(doubled), where=length > 0)
+    unit = unit_or_zero(doubled)
     return scatter_to_vertices(F, (corner_angles(V, F)[:, :, None] * unit[:, None, :]).reshape(-1, 3), len(V))
 
 

@@ -6,7 +6,7 @@ a vertex, choose bodies, orient neighbours alike, close holes, turn faces outwar
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import igl
@@ -50,10 +50,10 @@ LONGEST_FILLED_LOOP = 600
 
 @dataclass(frozen=True, eq=False)
 class MendReport:
-    """What mend_mesh did, as sentences and as numbers."""
+    """Changes that mend_mesh made, as sentences and as numbers."""
 
     steps: tuple[str, ...]  # plain sentences, in order; empty if the mesh was fine
-    vertex_map: IntArray = field(repr=False)  # (n,), new number of each vertex given, -1 where it was dropped
+    vertex_map: IntArray  # (n,), new number of each vertex given, -1 where it was dropped
     merged_vertices: int = 0
     dropped_vertices: int = 0  # unreferenced, or of dropped bodies
     dropped_faces: int = 0  # without area, doubled, or of dropped bodies
@@ -65,9 +65,14 @@ class MendReport:
     cavities: int = 0  # surfaces inside a body, oriented towards its inside
     self_intersections: int = 0  # pairs of faces that pass through each other; they are not mended
 
+    def __repr__(self) -> str:
+        bodies = f"{self.bodies} {'body' if self.bodies == 1 else 'bodies'}"
+        lines = [f"MendReport({bodies}, {len(self.vertex_map)} vertices given, changed={self.changed})", *self.steps]
+        return "\n  ".join(lines)
+
     @property
     def changed(self) -> bool:
-        """Whether the result differs from what was given."""
+        """True if the result differs from the mesh that was given."""
         dropped = self.dropped_vertices + self.dropped_faces
         return bool(self.merged_vertices + dropped + self.split_vertices + self.turned_faces + len(self.holes))
 
@@ -104,20 +109,68 @@ def mend_mesh(
             an edge; a surface is one-sided or flat; a hole is too long; there are several bodies and they are refused.
     """
     V, F = as_arrays(V, F)
+    _require_options(merge_distance, bodies, hole_limit)
+    steps: list[str] = []
+    size = float(np.linalg.norm(V.max(axis=0) - V.min(axis=0)))
+    sheets = _sheets(V, F, 1e-8 * size if merge_distance is None else merge_distance, steps)
+    chosen = _choose_bodies(sheets.V, sheets.F, sheets.vertex_map, bodies)
+    V, before, vertex_map = chosen.V, chosen.F, chosen.vertex_map
+    _say(steps, chosen.dropped_bodies, "dropped {} smaller {}", "body", "bodies")
+    F, holes, left_open = _close_holes(V, _oriented_alike(V, before), hole_limit * size, closed=closed)
+    F, parts, cavities = _face_outwards(V, F)
+    turned = int(np.count_nonzero((F[: len(before)] != before).any(axis=1)))
+    everywhere = "all " if turned == len(before) else ""
+    _say(steps, turned, f"turned {everywhere}{{}} {{}} that looked the wrong way", "face", "faces")
+    _say(steps, len(holes), f"closed {{}} {{}} (of {', '.join(map(str, holes))} edges)", "hole", "holes")
+    _say(steps, len(left_open), f"left {{}} {{}} open (of {', '.join(map(str, left_open))} edges)", "hole", "holes")
+    if parts - cavities > 1:
+        steps.append(f"kept {parts - cavities} bodies that are not connected")
+    _say(steps, cavities, "took {} {} inside another for a cavity", "surface", "surfaces")
+    crossings = len(intersecting_faces(V, F))
+    _say(steps, crossings, "found {} {} of faces that pass through each other, and left them so", "pair", "pairs")
+    V, F = check_mesh(V, F, closed=not left_open, oriented=True)
+    report = MendReport(
+        steps=tuple(steps),
+        vertex_map=vertex_map,
+        merged_vertices=sheets.merged_vertices,
+        dropped_vertices=sheets.dropped_vertices + chosen.dropped_vertices,
+        dropped_faces=sheets.dropped_faces + chosen.dropped_faces,
+        split_vertices=sheets.split_vertices,
+        turned_faces=turned,
+        holes=tuple(holes),
+        open_holes=tuple(left_open),
+        bodies=parts - cavities,
+        cavities=cavities,
+        self_intersections=crossings,
+    )
+    return V, F, report
+
+
+def _require_options(merge_distance: float | None, bodies: str, hole_limit: float) -> None:
     require_choice("bodies", bodies, ("keep", "largest", "refuse"))
     if merge_distance is not None:
         require_positive("merge_distance", merge_distance, "length", or_zero=True)
     if not (isinstance(hole_limit, int | float) and hole_limit >= 0):
         raise MeshError(f"hole_limit must be a number of diagonals, at least 0, but is {hole_limit!r}.")
-    steps: list[str] = []
-    size = float(np.linalg.norm(V.max(axis=0) - V.min(axis=0)))
-    given = len(V)
-    vertex_map = np.arange(given)
 
+
+class _Sheets(NamedTuple):
+    """Faces with area, each once, at most two at an edge and one fan at a vertex, and what it took to get there."""
+
+    V: FloatArray
+    F: IntArray
+    vertex_map: IntArray  # of MendReport, as are the counts
+    merged_vertices: int
+    dropped_vertices: int
+    dropped_faces: int
+    split_vertices: int
+
+
+def _sheets(V: FloatArray, F: IntArray, merge_distance: float, steps: list[str]) -> _Sheets:
     # Vertices that no face uses would be bodies of their own, and would merge with ones that are used.
-    V, F, vertex_map, unused = _drop_unused(V, F, vertex_map)
+    V, F, vertex_map, unused = _drop_unused(V, F, np.arange(len(V)))
     _say(steps, unused, "dropped {} unreferenced {}", "vertex", "vertices")
-    welded, left_apart = _weld(V, F, 1e-8 * size if merge_distance is None else merge_distance)
+    welded, left_apart = _weld(V, F, merge_distance)
     V, F, vertex_map = V[welded.kept], welded.F, _renumbered(vertex_map, welded.new_number)
     _say(steps, welded.merged, "merged {} duplicate {}", "vertex", "vertices")
     apart = "left {} duplicate {} apart, for more than two faces would meet in an edge"
@@ -130,46 +183,17 @@ def mend_mesh(
     _say(steps, left_over, "dropped {} {} of removed faces", "vertex", "vertices")
     V, F, split = _split_pinched_vertices(V, F)
     _say(steps, split, "separated sheets that touched in {} {}", "vertex", "vertices")
+    return _Sheets(V, F, vertex_map, welded.merged, unused + left_over, welded.flat + welded.doubled, split)
 
-    V, F, vertex_map, other_faces, other_vertices, other_bodies = _choose_bodies(V, F, vertex_map, bodies)
-    _say(steps, other_bodies, "dropped {} smaller {}", "body", "bodies")
+
+def _oriented_alike(V: FloatArray, F: IntArray) -> IntArray:
     flip, one_sided = flips_to_agree(F, edge_table(F, len(V)))
     if one_sided is not None:
         raise MeshError(
             f"the surface must have two sides, but the part of face {one_sided} near {place(V[F[one_sided, 0]])} has "
             "one, like a Moebius strip: it bounds no solid. Cut it in a mesh editor."
         )
-    before = F
-    F = _turned(F, flip)
-    F, holes, left_open = _close_holes(V, F, hole_limit * size, closed=closed)
-    F, parts, cavities = _face_outwards(V, F)
-    turned = int(np.count_nonzero((F[: len(before)] != before).any(axis=1)))
-    everywhere = "all " if turned == len(before) else ""
-    _say(steps, turned, f"turned {everywhere}{{}} {{}} that looked the wrong way", "face", "faces")
-    sizes = ", ".join(map(str, holes))
-    _say(steps, len(holes), f"closed {{}} {{}} (of {sizes} edges)", "hole", "holes")
-    _say(steps, len(left_open), f"left {{}} {{}} open (of {', '.join(map(str, left_open))} edges)", "hole", "holes")
-    if parts - cavities > 1:
-        steps.append(f"kept {parts - cavities} bodies that are not connected")
-    _say(steps, cavities, "took {} {} inside another for a cavity", "surface", "surfaces")
-    crossings = len(intersecting_faces(V, F))
-    _say(steps, crossings, "found {} {} of faces that pass through each other, and left them so", "pair", "pairs")
-    V, F = check_mesh(V, F, closed=not left_open, oriented=True)
-    report = MendReport(
-        steps=tuple(steps),
-        vertex_map=vertex_map,
-        merged_vertices=welded.merged,
-        dropped_vertices=unused + left_over + other_vertices,
-        dropped_faces=welded.flat + welded.doubled + other_faces,
-        split_vertices=split,
-        turned_faces=turned,
-        holes=tuple(holes),
-        open_holes=tuple(left_open),
-        bodies=parts - cavities,
-        cavities=cavities,
-        self_intersections=crossings,
-    )
-    return V, F, report
+    return _turned(F, flip)
 
 
 def _say(steps: list[str], count: int, sentence: str, one: str, many: str) -> None:
@@ -197,7 +221,7 @@ class _Weld(NamedTuple):
 
 
 def _weld(V: FloatArray, F: IntArray, distance: float) -> tuple[_Weld, int]:
-    """Merge close vertices and remove what this leaves of faces; also the number of vertices that are left apart.
+    """Merge close vertices and remove what this leaves of faces; return how many vertices are left apart as well.
 
     Where a closed surface touches itself along an edge, merging would make that edge one of four faces. Such
     vertices were never torn from each other, so if it comes to that, only vertices on open edges are merged.
@@ -310,12 +334,21 @@ def _split_pinched_vertices(V: FloatArray, F: IntArray) -> tuple[FloatArray, Int
     return np.concatenate([V, V[owner[extra]]]), vertex_of_fan[fan].reshape(-1, 3), pinched
 
 
+class _Chosen(NamedTuple):
+    V: FloatArray
+    F: IntArray
+    vertex_map: IntArray
+    dropped_faces: int = 0
+    dropped_vertices: int = 0
+    dropped_bodies: int = 0
+
+
 def _choose_bodies(
     V: FloatArray, F: IntArray, vertex_map: IntArray, bodies: Literal["keep", "largest", "refuse"]
-) -> tuple[FloatArray, IntArray, IntArray, int, int, int]:
+) -> _Chosen:
     parts, part = vertex_components(F, len(V))
     if bodies == "keep" or parts == 1:
-        return V, F, vertex_map, 0, 0, 0
+        return _Chosen(V, F, vertex_map)
     inside = _containment(V, F, parts, part)
     solid = np.flatnonzero(inside.sum(axis=1) % 2 == 0)
     if bodies == "refuse":
@@ -325,7 +358,7 @@ def _choose_bodies(
                 f"the mesh must be one body, but it has {len(solid)} that are not connected, first those of vertices "
                 f"{i} at {place(V[i])} and {j} at {place(V[j])}. Pass bodies='largest' or bodies='keep'."
             )
-        return V, F, vertex_map, 0, 0, 0
+        return _Chosen(V, F, vertex_map)
     areas = np.bincount(part[F[:, 0]], weights=face_areas(V, F), minlength=parts)
     largest = solid[np.argmax(areas[solid])]
     keep = inside[:, largest] & (inside.sum(axis=1) == inside[largest].sum() + 1)  # its cavities, not what is in them
@@ -333,11 +366,14 @@ def _choose_bodies(
     kept_faces = keep[part[F[:, 0]]]
     before, dropped_faces = len(V), int(np.count_nonzero(~kept_faces))
     V, F, vertex_map, _ = _drop_unused(V, F[kept_faces], vertex_map)
-    return V, F, vertex_map, dropped_faces, before - len(V), len(solid) - 1
+    return _Chosen(V, F, vertex_map, dropped_faces, before - len(V), len(solid) - 1)
 
 
 def _containment(V: FloatArray, F: IntArray, parts: int, part: IntArray) -> BoolArray:
-    """Entry [a, b] says whether part a lies inside part b, (parts, parts); boxes first, then the winding number."""
+    """Return a matrix (parts, parts) whose entry [a, b] is True if part a lies inside part b.
+
+    Boxes are compared first, then the winding number is taken.
+    """
     face_part = part[F[:, 0]]
     lower, upper = np.full((parts, 3), np.inf), np.full((parts, 3), -np.inf)
     np.minimum.at(lower, part, V)
@@ -379,7 +415,7 @@ def _close_holes(V: FloatArray, F: IntArray, limit: float, *, closed: bool) -> t
 
 
 def _fill(V: FloatArray, loop: IntArray, existing: set[tuple[int, int]]) -> IntArray:
-    """Triangles over a closed loop of vertices, of least area, with no new vertex and no edge that exists already.
+    """Return triangles over a closed loop of vertices, of least area, with no new vertex and no edge there is already.
 
     best[i, j] is the cheapest triangulation of the polygon i..j, by splitting off the triangle i, k, j.
     Source: Barequet and Sharir, "Filling gaps in the boundary of a polyhedron", 1995.

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshref.check import MeshError, check_mesh, require_positive, require_whole
+from meshref.printing import brief
 from meshref.topology import FloatArray, IntArray
 
 
@@ -24,6 +25,9 @@ class MeshlabDistance(NamedTuple):
     mean_1_to_2: float
     mean_2_to_1: float
 
+    def __repr__(self) -> str:
+        return brief(self)
+
     @property
     def hausdorff(self) -> float:
         """Larger of the two largest distances."""
@@ -31,7 +35,7 @@ class MeshlabDistance(NamedTuple):
 
 
 def laplacian_smooth(V: ArrayLike, F: ArrayLike, steps: int = 3) -> FloatArray:
-    """Vertices (n, 3) after moving each to the mean of its neighbours, steps times. Shrinks.
+    """Return vertices (n, 3) after moving each to the mean of its neighbours, steps times. Shrinks.
 
     Raises:
         MeshError: check_mesh refuses the mesh, or pymeshlab is missing or fails.
@@ -43,7 +47,7 @@ def laplacian_smooth(V: ArrayLike, F: ArrayLike, steps: int = 3) -> FloatArray:
 
 
 def taubin_smooth(V: ArrayLike, F: ArrayLike, steps: int = 10, shrink: float = 0.5, grow: float = -0.53) -> FloatArray:
-    """Vertices (n, 3) after steps of smoothing by shrink and un-smoothing by grow, which nearly keeps the volume.
+    """Return vertices (n, 3) after steps of smoothing by shrink and un-smoothing by grow; the volume nearly stays.
 
     Source: Taubin, "A signal processing approach to fair surface design", 1995.
 
@@ -62,7 +66,7 @@ def taubin_smooth(V: ArrayLike, F: ArrayLike, steps: int = 10, shrink: float = 0
 def isotropic_remesh(
     V: ArrayLike, F: ArrayLike, edge_length: float, iterations: int = 10
 ) -> tuple[FloatArray, IntArray]:
-    """A mesh of the same surface whose edges are all about as long as told.
+    """Return a mesh of the same surface whose edges are all about as long as told.
 
     Args:
         V: Vertices, (n, 3).
@@ -82,7 +86,7 @@ def isotropic_remesh(
 
 
 def hausdorff_distance(V1: ArrayLike, F1: ArrayLike, V2: ArrayLike, F2: ArrayLike, n: int = 20_000) -> MeshlabDistance:
-    """MeshLab's sampled distance, both ways: its own filter goes one way only, and from the vertices by default.
+    """Return MeshLab's sampled distance, both ways: its filter goes one way only, and from the vertices by default.
 
     Args:
         V1, F1: Vertices (n1, 3) and faces (m1, 3) of the first surface.

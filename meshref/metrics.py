@@ -1,4 +1,4 @@
-"""How far two surfaces are from each other: distances, normals, overlap.
+"""Measures between two surfaces: distances, normals, overlap.
 
 Distances run from sampled points of one surface to the exact nearest point on the triangles of the other, both ways.
 The vertices are among the samples of the largest distance: it is then a lower bound that misses only what lies between
@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from meshref.check import MeshError, check_mesh, finite_points, require_whole, vertex_indices
 from meshref.distance import SignedDistanceQuery
 from meshref.measures import doubled_area_vectors, face_areas
+from meshref.printing import brief
 from meshref.topology import FloatArray, IntArray
 
 
@@ -26,10 +27,13 @@ class MeshSample(NamedTuple):
     face: IntArray  # (k,), the face of each
     normals: FloatArray  # (k, 3), the unit normal of that face
 
+    def __repr__(self) -> str:
+        return brief(self)
+
 
 @dataclass(frozen=True, eq=False)
 class SurfaceDistance:
-    """How far surface 1 and surface 2 are from each other; lengths in the unit of V."""
+    """Distances between surface 1 and surface 2; lengths in the unit of V."""
 
     mean_1_to_2: float  # mean distance from points of surface 1 to surface 2
     mean_2_to_1: float
@@ -37,6 +41,8 @@ class SurfaceDistance:
     max_1_to_2: float  # largest distance from points and vertices of surface 1 to surface 2
     max_2_to_1: float
     normal_consistency: float  # mean cosine between the normals at a point and at its nearest point, both ways
+
+    __repr__ = brief
 
     @property
     def chamfer(self) -> float:
@@ -52,7 +58,7 @@ class SurfaceDistance:
 def surface_distance(
     V1: ArrayLike, F1: ArrayLike, V2: ArrayLike, F2: ArrayLike, n: int = 20_000, seed: int = 0
 ) -> SurfaceDistance:
-    """All distances between two surfaces at once, from n random points on each.
+    """Return all distances between two surfaces at once, from n random points on each.
 
     Args:
         V1, F1: Vertices (n1, 3) and faces (m1, 3) of the first surface, open or closed.
@@ -76,24 +82,45 @@ def surface_distance(
 
 
 def chamfer(V1: ArrayLike, F1: ArrayLike, V2: ArrayLike, F2: ArrayLike, n: int = 20_000, seed: int = 0) -> float:
-    """Mean distance between two surfaces (not squared), the mean of both ways; see surface_distance."""
+    """Return the mean distance between two surfaces (not squared), the mean of both ways.
+
+    Args:
+        V1, F1, V2, F2, n, seed: See surface_distance.
+
+    Raises:
+        MeshError: See surface_distance.
+    """
     return surface_distance(V1, F1, V2, F2, n, seed).chamfer
 
 
 def hausdorff(V1: ArrayLike, F1: ArrayLike, V2: ArrayLike, F2: ArrayLike, n: int = 20_000, seed: int = 0) -> float:
-    """Largest distance between two surfaces over samples and vertices, both ways; see surface_distance."""
+    """Return the largest distance between two surfaces over samples and vertices, both ways.
+
+    Args:
+        V1, F1, V2, F2, n, seed: See surface_distance.
+
+    Raises:
+        MeshError: See surface_distance.
+    """
     return surface_distance(V1, F1, V2, F2, n, seed).hausdorff
 
 
 def normal_consistency(
     V1: ArrayLike, F1: ArrayLike, V2: ArrayLike, F2: ArrayLike, n: int = 20_000, seed: int = 0
 ) -> float:
-    """Mean cosine between the normals of two surfaces at nearest points, 1 where they agree; see surface_distance."""
+    """Return the mean cosine of the normals of two surfaces at nearest points, 1 where they agree.
+
+    Args:
+        V1, F1, V2, F2, n, seed: See surface_distance.
+
+    Raises:
+        MeshError: See surface_distance.
+    """
     return surface_distance(V1, F1, V2, F2, n, seed).normal_consistency
 
 
 def iou(V1: ArrayLike, F1: ArrayLike, V2: ArrayLike, F2: ArrayLike, n: int = 100_000, seed: int = 0) -> float:
-    """Volume of the intersection over that of the union of two solids, from n random points in their common box.
+    """Return the volume of intersection over union of two solids, from n random points in their common box.
 
     Args:
         V1, F1: Vertices (n1, 3) and faces (m1, 3) of the first, oriented outwards; small holes do no harm.
@@ -146,7 +173,7 @@ def sample_mesh(V: ArrayLike, F: ArrayLike, n: int, seed: int = 0) -> MeshSample
 
 
 def handle_error(displacement: ArrayLike, handles: ArrayLike, wanted: ArrayLike) -> float:
-    """Largest distance by which a handle vertex misses its wanted displacement, in the unit of V.
+    """Return the largest distance by which a handle vertex misses its wanted displacement, in the unit of V.
 
     Args:
         displacement: Displacement of every vertex, (n, 3).

@@ -15,7 +15,7 @@ MOST_SUBDIVISIONS = 10
 def icosphere(
     subdivisions: int, radius: float = 1.0, center: ArrayLike = (0.0, 0.0, 0.0)
 ) -> tuple[FloatArray, IntArray]:
-    """A sphere with 20 * 4**subdivisions faces: an icosahedron, split in four and pushed out again and again.
+    """Return a sphere with 20 * 4**subdivisions faces: an icosahedron, split in four and pushed out again and again.
 
     Args:
         subdivisions: 0 is the icosahedron; 2, 3, 4 give 320, 1280, 5120 faces.
@@ -45,7 +45,7 @@ def icosphere(
 def torus(
     around: int, across: int, major_radius: float = 1.0, minor_radius: float = 0.35
 ) -> tuple[FloatArray, IntArray]:
-    """A ring about the z axis: 2 * around * across faces, genus 1.
+    """Return a ring about the z axis: 2 * around * across faces, genus 1.
 
     Args:
         around: Points along the ring.
@@ -69,7 +69,7 @@ def torus(
 def box(
     lower: ArrayLike = (0.0, 0.0, 0.0), upper: ArrayLike = (1.0, 1.0, 1.0), subdivisions: int = 0
 ) -> tuple[FloatArray, IntArray]:
-    """An axis-parallel box with 12 * 4**subdivisions faces.
+    """Return an axis-parallel box with 12 * 4**subdivisions faces.
 
     Args:
         lower: The corner with the smallest coordinates, (3,).
@@ -91,7 +91,7 @@ def box(
 
 
 def cylinder(around: int, along: int, radius: float = 1.0, height: float = 2.0) -> tuple[FloatArray, IntArray]:
-    """A solid cylinder about the z axis, its middle at the origin, with flat caps of one fan each.
+    """Return a solid cylinder about the z axis, its middle at the origin, with flat caps of one fan each.
 
     Args:
         around: Points on each ring.
@@ -119,7 +119,7 @@ def cylinder(around: int, along: int, radius: float = 1.0, height: float = 2.0) 
 
 
 def split_in_four(V: FloatArray, F: IntArray) -> tuple[FloatArray, IntArray]:
-    """Every triangle split in four at the middles of its sides; the surface stays where it is."""
+    """Return every triangle split in four at the middles of its sides; the surface stays where it is."""
     table = edge_table(F, len(V))
     a, b, c = (len(V) + table.of_half_edge.reshape(-1, 3)).T  # middles of the sides 01, 12, 20
     i, j, k = F.T
@@ -128,7 +128,7 @@ def split_in_four(V: FloatArray, F: IntArray) -> tuple[FloatArray, IntArray]:
 
 
 def _place(name: str, point: ArrayLike) -> FloatArray:
-    """A point (3,) out of an argument."""
+    """Return a point (3,) out of an argument."""
     rows = finite_points([point], name, "coordinates")  # type: ignore[arg-type]  # a point of any kind
     return rows[0]
 

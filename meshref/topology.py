@@ -1,4 +1,4 @@
-"""Which faces meet where: half-edges, edges, fans of faces, boundary loops and connected parts.
+"""Connections of the faces: half-edges, edges, fans of faces, boundary loops and connected parts.
 
 Half-edge h = 3 f + c runs from corner c of face f to its corner c + 1 (modulo 3), so the three arrays
 "half-edge", "corner" and "entry of F.ravel()" share one numbering. Nothing here looks at coordinates,
@@ -28,17 +28,17 @@ class EdgeTable(NamedTuple):
 
 
 def half_edges(F: IntArray) -> IntArray:
-    """Start and end vertex of every half-edge, (3m, 2)."""
+    """Return the start and end vertex of every half-edge, (3m, 2)."""
     return np.stack([F, np.roll(F, -1, axis=1)], axis=-1).reshape(-1, 2)
 
 
 def next_in_face(h: IntArray) -> IntArray:
-    """The half-edge that follows h in its face."""
+    """Return the half-edge that follows h in its face."""
     return h - h % 3 + (h + 1) % 3
 
 
 def edge_table(F: IntArray, n_vertices: int) -> EdgeTable:
-    """Every undirected edge once, with the half-edges that lie on it."""
+    """Return every undirected edge once, with the half-edges that lie on it."""
     ends = half_edges(F)
     key = ends.min(axis=1) * n_vertices + ends.max(axis=1)
     unique, of_half_edge, count = np.unique(key, return_inverse=True, return_counts=True)
@@ -47,7 +47,7 @@ def edge_table(F: IntArray, n_vertices: int) -> EdgeTable:
 
 
 def paired_half_edges(table: EdgeTable) -> IntArray:
-    """The two half-edges of every edge that has exactly two, (k, 2)."""
+    """Return the two half-edges of every edge that has exactly two, (k, 2)."""
     order = np.argsort(table.of_half_edge, kind="stable")
     first = (np.cumsum(table.faces) - table.faces)[table.faces == 2]
     return np.stack([order[first], order[first + 1]], axis=1)
@@ -70,7 +70,7 @@ def corner_fans(F: IntArray, table: EdgeTable) -> tuple[int, IntArray]:
 
 
 def boundary_loops(F: IntArray, table: EdgeTable) -> list[IntArray]:
-    """The closed loops of vertices round the holes, each in the direction of its half-edges.
+    """Return the closed loops of vertices round the holes, each in the direction of its half-edges.
 
     Needs a mesh whose vertices have one fan each and whose faces are oriented alike: then every vertex on the
     boundary starts one half-edge and ends one.
@@ -89,19 +89,19 @@ def boundary_loops(F: IntArray, table: EdgeTable) -> list[IntArray]:
 
 
 def vertex_components(F: IntArray, n_vertices: int) -> tuple[int, IntArray]:
-    """Connected parts: (number, part of each vertex (n,)). An unreferenced vertex is a part of its own."""
+    """Return the connected parts: (number, part of each vertex (n,)). An unreferenced vertex is a part of its own."""
     return _parts(n_vertices, np.concatenate([F[:, 0], F[:, 1]]), np.concatenate([F[:, 1], F[:, 2]]))
 
 
 def disagreeing_pairs(F: IntArray, table: EdgeTable) -> IntArray:
-    """Pairs of half-edges on one edge that run the same way: their faces are oriented against each other, (k, 2)."""
+    """Return pairs of half-edges on one edge that run the same way, (k, 2): their faces are oriented oppositely."""
     ends = half_edges(F)
     pairs = paired_half_edges(table)
     return np.asarray(pairs[ends[pairs[:, 0], 0] == ends[pairs[:, 1], 0]], dtype=np.int64)
 
 
 def flips_to_agree(F: IntArray, table: EdgeTable) -> tuple[BoolArray, int | None]:
-    """Which faces to turn so that neighbours agree, turning the fewer; and a face of a one-sided part, or None.
+    """Return which faces to turn, the fewer, so that neighbours agree; and a face of a one-sided part, or None.
 
     Every face appears twice in a graph, as it is and turned. Neighbours that agree connect like with like,
     neighbours that disagree connect crosswise: if a face connects to its own turned copy, the part is one-sided.

@@ -21,8 +21,8 @@ from implicit import families, shapes
 # Kinds of work, by the files and names of the functions whose own time counts; what is in none of them is the rest.
 KINDS = {
     "network": r"models/|torch\.(sin|cos|tanh)|_nn\.|run_backward|functorch|autograd|nn/modules",
-    "products, factors": r"cholesky|superlu|SuperLU|cholespy|add_gram|_of_lower|_linalg|einsum|eigh|\.mm'|"
-    r"/factors\.py:(of|solve)|/deformation\.py:strain_rows|/arap\.py:(?!_energy)",
+    "products, factors": r"cholesky|superlu|SuperLU|cholespy|symmetric\.py|_linalg|einsum|eigh|\.mm'|"
+    r"/factors/\w+\.py:(of|solve)|/deformation\.py:strain_rows|/arap\.py:(?!_energy)",
     "marching cubes": r"_marching_cubes",
     "numbers from text": r"meshref/formats|'(str|bytes|list)' objects|numpy\.array",
 }
@@ -68,7 +68,7 @@ def operations(folder: Path) -> dict[str, Callable[[], object]]:
     samples = near.points + off[:, None] * near.normals, off, near.normals
     step = 1e-4 * meshref.area(V, F)
     return {
-        "geometric_edit, 4 parts, 2000 points": lambda: implicit.geometric_edit(precise, bump, parts=4, points=2000),
+        "geometric_edit, 4 parts, 2000 points": lambda: implicit.geometric_edit(precise, bump, steps=4, points=2000),
         "smooth, 3 steps, volume held": lambda: implicit.smooth(field, steps=3, constraints=(implicit.Volume(),)),
         "rigid_edit, 1000 points": lambda: implicit.rigid_edit(precise, [feet, head], points=1000),
         "semantic_edit, a chair's feet": lambda: implicit.semantic_edit(chair, points, ways),

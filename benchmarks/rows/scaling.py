@@ -44,7 +44,7 @@ def scaling() -> None:
             sample = implicit.sample_surface(field, n)
             handle = implicit.Handle(implicit.Ball((0.0, 0.5, 0.0), 0.2, falloff=0.3), implicit.Along(0.01))
             start = time.perf_counter()
-            edit = implicit.geometric_edit(field, handle, parts=1, points=sample, damping=1e-2)
+            edit = implicit.geometric_edit(field, handle, steps=1, points=sample, damping=1e-2)
             cells.append(f"{time.perf_counter() - start:.2f}, {edit.history[0]['method']}")
         print(f"| {n:,} | {' | '.join(cells)} |", flush=True)
 
@@ -86,7 +86,7 @@ def large_step() -> None:
     field = decoder_of_8_by_512()
     sample = implicit.sample_surface(field, 20_000, resolution=32)
     handle = implicit.Handle(implicit.Ball((0.0, 0.5, 0.0), 0.2, falloff=0.3), implicit.Along(0.01))
-    edit, peak = with_peak_memory(lambda: implicit.geometric_edit(field, handle, parts=1, points=sample, damping=1e-2))
+    edit, peak = with_peak_memory(lambda: implicit.geometric_edit(field, handle, steps=1, points=sample, damping=1e-2))
     error = edit.error_field()
     known = "memory unknown" if peak is None else f"{peak:.0f} MB beside field and points"
     print(

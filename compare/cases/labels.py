@@ -9,7 +9,7 @@ from compare.cases.case import Case
 
 
 def labels(cases: Sequence[Case]) -> list[str]:
-    """Of each case what tells it from the others of its shape and operation; "" where nothing does.
+    """Return of each case what tells it from the others of its shape and operation; "" where nothing does.
 
     Settings are named as in a study: "vertices 500, implicit.points 250".
     """
@@ -32,7 +32,7 @@ def _settings(case: Case) -> dict[str, Any]:
 
 
 def flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    """Nested tables as one, with dotted names."""
+    """Return nested tables as one, with dotted names."""
     row: dict[str, Any] = {}
     for key, value in table.items():
         row |= flat(value, f"{before}{key}.") if isinstance(value, Mapping) else {f"{before}{key}": value}

@@ -43,12 +43,12 @@ class Measured:
 
     @property
     def quick(self) -> bool:
-        """Whether it was made coarsely."""
+        """Return whether it was made coarsely."""
         return bool(self.settings["quick"])
 
 
 def read_measured(path: Path) -> list[Measured]:
-    """The parts that a file holds; none if it is not there.
+    """Return the parts that a file holds; none if it is not there.
 
     Raises:
         ValueError: It is no file of findings.

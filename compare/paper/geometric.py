@@ -20,13 +20,14 @@ from numpy import ndarray
 
 import implicit
 import meshref
+from compare.cases.subject import Subject
 from compare.paper.findings import Finding
 from compare.paper.letters import Letters
 from compare.paper.panels import colour_bar, panel, surface_view
 from compare.paper.request import Request
 from compare.reports.views import Camera
-from compare.runs.subject import Subject
 from implicit import Along, Ball, Edit, HalfSpace, Handle, Region, SurfaceSample
+from implicit.edits.targets import SummedTargets
 
 # Middles of the bumps in the field's coordinates, where the surface, moved out by a tenth of the shape along its
 # normals on a quarter of its area, does not fold over: most places of thin or hollow shapes would.
@@ -71,7 +72,7 @@ class _Task:
         return float(np.sqrt(np.average(self.error[keep] ** 2, weights=weights)))
 
     def rest(self) -> float:
-        """The motion of what was to stay, over the largest displacement."""
+        """Return the motion of what was to stay, over the largest displacement."""
         return self.rms(self.handle.weights(self.dense.points).numpy() == 0)
 
 
@@ -94,7 +95,7 @@ def draw(request: Request) -> list[Finding]:
 
 
 def natural(field: implicit.Field, name: str, kind: str) -> Handle:
-    """A bump or a stretch of a tenth of the shape, sinking smoothly to nothing over a quarter of its surface."""
+    """Return a bump or a stretch of a tenth of the shape, sinking smoothly to nothing over a quarter of its surface."""
     sample = implicit.surface_quadrature(field, 48)
     low, high = sample.points.amin(dim=0), sample.points.amax(dim=0)
     axis = int((high - low).argmax())
@@ -120,7 +121,7 @@ def letters() -> Handle:
 
 
 def _quarter(sample: SurfaceSample, region_of) -> Region:  # type: ignore[no-untyped-def]  # length -> Region
-    """The region of the length at which it holds a quarter of the area."""
+    """Return the region of the length at which it holds a quarter of the area."""
     low, high = 0.05, 4.0
     for _ in range(40):
         middle = (low + high) / 2
@@ -132,9 +133,9 @@ def _quarter(sample: SurfaceSample, region_of) -> Region:  # type: ignore[no-unt
 def _task(request: Request, name: str, kind: str, subject: Subject, handle: Handle) -> _Task:
     field = subject.field
     parts, points = (4, 1500) if request.quick else (PARTS, 4000)
-    predicted = implicit.expressibility(field, handle, parts=parts, points=points, seed=request.seed)
+    predicted = implicit.expressibility(field, handle, steps=parts, points=points, seed=request.seed)
     start = perf_counter()
-    edit = implicit.geometric_edit(field, handle, parts=parts, points=points, seed=request.seed)
+    edit = implicit.geometric_edit(field, handle, steps=parts, points=points, seed=request.seed)
     seconds = perf_counter() - start
     # Letters have edges that a coarse quadrature would hit or miss.
     dense = implicit.surface_quadrature(field, 96 if kind == "letters" else 48, exact_points=True)
@@ -145,8 +146,8 @@ def _task(request: Request, name: str, kind: str, subject: Subject, handle: Hand
 def _biharmonic(subject: Subject, handle: Handle) -> float | None:
     """The error field of a biharmonic mesh deformation with the core of the handle moved and the rest held."""
     points, normals = torch.from_numpy(subject.V), torch.from_numpy(subject.N)
-    weights = handle.weights(points).numpy()
-    target = weights[:, None] * (handle.position(1.0, points, normals) - points).numpy()
+    targets = SummedTargets([handle], points, normals)
+    weights, target = targets.handle_weights[0].numpy(), targets.displacement().numpy()
     held = np.flatnonzero((weights == 0) | (weights > 1 - 1e-9))
     if len(held) == len(weights) or not (weights > 1 - 1e-9).any():
         return None  # letters have no falloff to be smooth over
@@ -179,8 +180,8 @@ def _picture(tasks: list[_Task]) -> Figure:
 def _target(task: _Task, V: ndarray) -> ndarray:
     points = torch.from_numpy(V)
     normals = task.subject.field.normal(points)
-    way = task.handle.weights(points)[:, None] * (task.handle.position(1.0, points, normals) - points)
-    normal = (way * normals).sum(dim=1).numpy()
+    displacement = SummedTargets([task.handle], points, normals).displacement()
+    normal = (displacement * normals).sum(dim=1).numpy()
     return np.asarray(normal / max(np.abs(normal).max(), 1e-300))
 
 

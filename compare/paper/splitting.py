@@ -8,12 +8,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import implicit
+from compare.cases.subject import Subject
 from compare.paper.findings import Finding
 from compare.paper.panels import panel, same_frame, surface_view
 from compare.paper.request import Request
 from compare.reports.views import Camera, View
-from compare.runs.subject import Subject
 from implicit import Edit, HalfSpace, Handle
+from implicit.edits.targets import SummedTargets
 
 PARTS = (1, 2, 4, 8, 16)
 SHIFT = 0.3
@@ -29,7 +30,7 @@ def draw(request: Request) -> list[Finding]:
     edits = []
     for done, parts in enumerate(counts):
         request.tell(done, len(counts), f"splitting, {parts or 'chosen'} parts")
-        edits.append(implicit.geometric_edit(subject.field, handle, parts=parts, points=points, seed=request.seed))
+        edits.append(implicit.geometric_edit(subject.field, handle, steps=parts, points=points, seed=request.seed))
     dense = implicit.surface_quadrature(subject.field, 48, exact_points=True)
     rms = [_rms(edit, dense) for edit in edits]
     request.save(_picture(subject, handle, edits, rms), "splitting")
@@ -60,7 +61,7 @@ def _picture(subject: Subject, handle: Handle, edits: list[Edit], rms: list[floa
     figure = Figure(figsize=(1.7 * len(PARTS) + 2.4, 2.6), layout="constrained")
     grid = figure.subplots(1, len(PARTS) + 1, width_ratios=[1.0] * len(PARTS) + [1.35])
     points, normals = torch.from_numpy(subject.V), torch.from_numpy(subject.N)
-    target = points + handle.weights(points)[:, None] * (handle.position(1.0, points, normals) - points)
+    target = SummedTargets([handle], points, normals).positions(1.0)
     goal = View(target.numpy(), subject.F, np.zeros(len(target)))
     for axes, parts, edit, error in zip(grid, PARTS, edits, rms, strict=False):
         panel(axes, surface_view(edit.field), CAMERA, None, f"{_parts(parts)}: {100 * error:.2g} %")

@@ -37,7 +37,7 @@ class _Watch:
 
 
 def with_peak_memory(call: Callable[[], T]) -> tuple[T, float | None]:
-    """The result of a call and its peak memory in megabytes (1e6 bytes).
+    """Return the result of a call and its peak memory in megabytes (1e6 bytes).
 
     The second is None where it cannot be known: not on Linux, or when another call was watched meanwhile.
     """

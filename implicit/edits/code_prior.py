@@ -32,7 +32,12 @@ class CodePrior:
 
     @classmethod
     def of(cls, codes: Float[Tensor, "s l"], weight: float = 1e-4) -> CodePrior:
-        """The prior of some codes, a row each; directions in which they do not vary get 1e-3 of the largest spread."""
+        """Return the prior of some codes (S, L); directions in which they do not vary get 1e-3 of the largest spread.
+
+        Raises:
+            TypeError: The codes are no floating tensor.
+            ValueError: They are fewer than two, or not finite, or the weight is negative.
+        """
         require_positive("weight", weight, or_zero=True)
         if not isinstance(codes, Tensor) or codes.ndim != 2 or len(codes) < 2:
             came = f"shape {tuple(codes.shape)}" if isinstance(codes, Tensor) else f"a {type(codes).__name__}"
@@ -46,11 +51,15 @@ class CodePrior:
         return cls(mean, torch.linalg.cholesky(covariance).to(codes), weight)
 
     def distance(self, code: Float[Tensor, " l"]) -> float:
-        """How many standard deviations a code is from the mean (Mahalanobis); of a typical one, about sqrt(L)."""
+        """Return a code's standard deviations from the mean (Mahalanobis); of a typical one, about sqrt(L)."""
         return float(self._whitened(code - self.mean).norm())
 
     def energy(self, field: Field) -> Energy:
-        """The pull as an energy of the step from the field's code."""
+        """Return the pull as an energy of the step from the field's code.
+
+        Raises:
+            ValueError: The field edits no code of the prior's length.
+        """
         block = next((block for block in field.layout if block.name == "latent"), None)
         if block is None or block.shape != self.mean.shape:
             raise ValueError(
@@ -65,13 +74,14 @@ class CodePrior:
 
 @dataclass(frozen=True, eq=False)
 class _Pull:
-    """w |S^-1 (z + d_z - m)|^2."""
+    """Energy w |S^-1 (z + d_z - m)|^2."""
 
     prior: CodePrior
     code: Tensor
     where: slice
 
     def rows(self, space: DeformationSpace) -> Iterator[Rows]:
+        """Yield the energy's rows."""
         spread = self.prior.spread.to(self.code)
         inverse = torch.linalg.solve_triangular(spread, torch.eye(len(spread)).to(spread), upper=False)
         matrix = self.code.new_zeros(len(self.code), space.size)

@@ -26,7 +26,7 @@ from torch import Tensor
 
 from implicit.arguments import require_finite
 from implicit.field.field import Field
-from implicit.sensitivity.frame import Frame
+from implicit.sensitivity.frame import Frame, tangential_component
 from implicit.sensitivity.weak_curvature import FloatArray, WeakSurface
 from implicit.step.energies import Energy, NormalTarget, Smoothness
 from implicit.step.mesh_energies import MeshNormalMotion
@@ -45,13 +45,13 @@ class Flow(Protocol):
         share: Float[Tensor, " n"],
         implicit: bool,
     ) -> Sequence[Energy]:
-        """What one step minimises.
+        """Return the energies that one step minimises.
 
         Args:
             kappa: Mean curvature at the points of the sample.
-            time: Of the step.
+            time: Time of the step, in the flow's unit.
             share: Between 0 and 1, how much of the flow's speed each point gets.
-            implicit: Whether to add the implicit part.
+            implicit: True adds the implicit part.
         """
 
 
@@ -124,8 +124,7 @@ class Bending:
         self, field: Field, sample: SurfaceSample, kappa: Tensor, time: float, share: Tensor, implicit: bool
     ) -> Sequence[Energy]:
         total, slope = curvature_slope(field, sample.points)
-        normal = sample.normals
-        slope = slope - normal * (normal * slope).sum(dim=1, keepdim=True)
+        slope = tangential_component(slope, sample.normals)
         target = NormalTarget(sample.points, -time * share * (kappa**3 / 2 - total * kappa), sample.weights)
         steady = (2 * time) ** 0.5
         return [target, Smoothness(sample.points, steady * sample.weights, -(time / steady) * share[:, None] * slope)]
@@ -164,14 +163,15 @@ class Offset:
 
 
 def squared_curvatures(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
-    """|A|^2, the sum of the squared principal curvatures."""
-    frame = Frame.at(field, points)
-    shape = frame.axes @ frame.normal_slopes @ frame.axes.transpose(1, 2)
-    return shape[:, :-1, :-1].square().sum(dim=(1, 2))
+    """Return |A|^2, the sum of the squared principal curvatures (N,), per squared length."""
+    return Frame.at(field, points).shape_operator.square().sum(dim=(1, 2))
 
 
 def curvature_slope(field: Field, points: Float[Tensor, "n d"]) -> tuple[Float[Tensor, " n"], Float[Tensor, "n d"]]:
-    """|A|^2, the sum of the squared principal curvatures, and the slope of kappa in space; third derivatives of f."""
+    """Return |A|^2, the sum of the squared principal curvatures (N,), and the gradient of kappa in space (N, D).
+
+    The latter takes third derivatives of f.
+    """
     squares, slopes = [], []
     with torch.enable_grad():
         for part in points.split(4096):

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from implicit.edits.targets import Goal
+from implicit.edits.targets import SummedTargets
 from implicit.evolve.edit import EditStatus
 from implicit.evolve.operation import Outcome, State, Taken
 from implicit.field.field import Field
+from implicit.sensitivity.frame import tangential_component
 from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import Energy, NormalTarget
 from implicit.step.off_surface import off_surface
@@ -111,7 +112,7 @@ class TargetPoints:
     """
 
     sample: SurfaceSample
-    goal: Goal
+    targets: SummedTargets
     coverage: _Coverage
     redrawn: bool = False
 
@@ -140,7 +141,7 @@ class GeometricOperation:
 
     Args:
         field: At the start of the edit.
-        goal_of: From points and normals of the unedited surface to their goal.
+        targets_of: From points and normals of the unedited surface to their goal.
         sample: The points that carry the target at first, which the loop carries along.
         schedule: Before the first part.
         damping: Penalty on |d_theta|^2; None adapts it.
@@ -154,7 +155,7 @@ class GeometricOperation:
     def __init__(
         self,
         field: Field,
-        goal_of: Callable[[Tensor, Tensor], Goal],
+        targets_of: Callable[[Tensor, Tensor], SummedTargets],
         sample: SurfaceSample,
         schedule: PartSchedule,
         damping: float | None,
@@ -163,15 +164,15 @@ class GeometricOperation:
         seed: int,
     ) -> None:
         self._off_surface_strength = off_surface_strength
-        self._origin, self._goal_of, self._schedule = field, goal_of, schedule
+        self._origin, self._targets_of, self._schedule = field, targets_of, schedule
         self._damping, self._seed = damping, seed
-        goal = goal_of(sample.points, sample.normals)
-        self._first = TargetPoints(sample, goal, _Coverage(goal, sample))
+        targets = targets_of(sample.points, sample.normals)
+        self._first = TargetPoints(sample, targets, _Coverage(targets, sample))
         # The loop carries the points of the first sample and the tracked ones; they follow their goal.
-        self._tracked = goal
+        self._tracked = targets
         if track is not None:
             normals = torch.cat([sample.normals, field.normal(track)])
-            self._tracked = goal_of(torch.cat([sample.points, track]), normals)
+            self._tracked = targets_of(torch.cat([sample.points, track]), normals)
 
     def start(self, field: Field, points: Tensor) -> GeometricMemory:
         """Return the memory before the first part."""
@@ -192,9 +193,9 @@ class GeometricOperation:
             seed, strength = self._seed + state.step, self._off_surface_strength
             energies.append(off_surface(field, sample, energy.target, strength=strength, seed=seed))
         # A prescribed point follows its whole vector; the field sees only the part along the normal.
-        ahead = self._tracked.at(then) - self._tracked.at(now)
+        ahead = self._tracked.positions(then) - self._tracked.positions(now)
         normals = field.normal(state.tracked)
-        along = ahead - normals * (normals * ahead).sum(dim=1, keepdim=True)
+        along = tangential_component(ahead, normals)
         row = {"fraction": then, "points_used": int(memory.used.sum()), "thinned": memory.stretch}
         return StepProblem(
             DeformationSpace(field), energies, DampingRule(self._damping), tangential_motion=along, row=row
@@ -219,9 +220,9 @@ class GeometricOperation:
         if stretch > MOST_STRETCH:
             count = int(stretch * len(carriers.sample))
             sample = sample_surface(self._origin, count, seed=self._seed + step)
-            goal = self._goal_of(sample.points, sample.normals)
-            coverage = _Coverage(goal, sample, carriers.coverage.density)
-            carriers = TargetPoints(sample, goal, coverage, redrawn=True)
+            targets = self._targets_of(sample.points, sample.normals)
+            coverage = _Coverage(targets, sample, carriers.coverage.density)
+            carriers = TargetPoints(sample, targets, coverage, redrawn=True)
             places, used = _places(field, points, carriers, schedule.now)
         return GeometricMemory(schedule, carriers, places, used, stretch)
 
@@ -232,19 +233,19 @@ def _places(field: Field, points: Tensor, carriers: TargetPoints, now: float) ->
     Args:
         points: Where the loop has carried those of the first sample.
     """
-    used = carriers.goal.importance > 0
+    used = carriers.targets.weights > 0
     if not carriers.redrawn:
         return points, used
     # The parts before have taken every point to its goal but for what they missed, so that is where it is.
-    places, arrived = newton_to_surface(field, carriers.goal.at(now), reach=0.1 * field.size)
+    places, arrived = newton_to_surface(field, carriers.targets.positions(now), reach=0.1 * field.size)
     return places, used & arrived
 
 
 def _part_energy(field: Field, carriers: TargetPoints, points: Tensor, used: Tensor, then: float) -> NormalTarget:
     """Return E_C of one part: from where the points are to their goal after the part, along the normal."""
     here = points[used]
-    target = ((carriers.goal.at(then)[used] - here) * field.normal(here)).sum(dim=1)
-    return NormalTarget(here, target, (carriers.sample.weights * carriers.goal.importance)[used])
+    target = ((carriers.targets.positions(then)[used] - here) * field.normal(here)).sum(dim=1)
+    return NormalTarget(here, target, (carriers.sample.weights * carriers.targets.weights)[used])
 
 
 class _Coverage:
@@ -252,8 +253,8 @@ class _Coverage:
 
     neighbours = 8
 
-    def __init__(self, goal: Goal, sample: SurfaceSample, density: float | None = None) -> None:
-        self._moving = goal.prescribed & (goal.importance > 0)
+    def __init__(self, targets: SummedTargets, sample: SurfaceSample, density: float | None = None) -> None:
+        self._moving = targets.prescribed & (targets.weights > 0)
         self._power = sample.points.shape[1] - 1
         own = len(sample) / float(sample.weights.sum())
         self.density = own if density is None else density  # points an area that the edit began with

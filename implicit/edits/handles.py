@@ -1,4 +1,7 @@
-"""Handles: a region of the surface, and the motion asked of it."""
+"""Handles: a region of the surface, and its motion.
+
+What a handle asks of a point, and what several ask of it together, is in implicit.edits.targets.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +13,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.arguments import require_callable, require_finite, require_numbers
-from implicit.edits.regions import RegionLike, Vector, exact, like, require_place
+from implicit.edits.regions import RegionLike, Vector, described_fields, exact, like, require_place
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Along:
     """Motion along the outward normal by a distance, one for all points or a function of them."""
 
@@ -23,16 +26,29 @@ class Along:
         if not callable(self.distance):
             require_finite("distance of Along", self.distance, "length")
 
+    def at(self, fraction: float, points: Float[Tensor, "n d"], normals: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
+        """Return where the points are after a fraction of the distance."""
+        distance = exact(self.distance(points) if callable(self.distance) else self.distance, points)
+        if distance.numel() not in (1, len(points)):
+            raise ValueError(
+                f"The displacement Along must be one distance, or a function that gives one a point, "
+                f"({len(points)},), but gave {tuple(distance.shape)}."
+            )
+        return points + fraction * distance.reshape(-1, 1) * normals
 
-@dataclass(frozen=True, eq=False)
+    def __repr__(self) -> str:
+        return described_fields(self)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class RigidMotion:
     """Rotation about `center`, then translation: x -> R (x - center) + center + translation.
 
     Args:
         rotation: A rotation vector (3,), its length the angle in radians; a rotation matrix (3, 3); or in the
             plane an angle.
-        translation: Added after the rotation; None is zero.
-        center: Fixed by the rotation; None is the origin.
+        translation: Vector (D,) added after the rotation, a length; None is zero.
+        center: Point (D,) that the rotation leaves where it is; None is the origin.
     """
 
     rotation: Vector | float | None = None
@@ -47,7 +63,7 @@ class RigidMotion:
             require_numbers("rotation of a RigidMotion", self.rotation, "a vector of 3, a matrix or an angle")
 
     def at(self, fraction: float, points: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
-        """Where the points are after a fraction of the motion: the angle and the translation grow evenly."""
+        """Return where the points are after a fraction of the motion: the angle and the translation grow evenly."""
         dimension = points.shape[1]
         zero = points.new_zeros(dimension)
         center = zero if self.center is None else like(self.center, points, "center of a RigidMotion")
@@ -55,11 +71,14 @@ class RigidMotion:
         generator = _rotation_generator(self.rotation, dimension).to(points) * fraction
         return (points - center) @ torch.matrix_exp(generator).T + center + fraction * shift
 
+    def __repr__(self) -> str:
+        return described_fields(self)
+
 
 Displacement = Vector | Callable[[Tensor], Tensor] | Along | RigidMotion
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Handle:
     """A region of the surface and how far its points are to move, in the field's own length units.
 
@@ -80,7 +99,11 @@ class Handle:
             require_place("displacement of a Handle", self.displacement)
 
     def weights(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
-        """The region's weights, checked."""
+        """Return the region's weights of the points (N,).
+
+        Raises:
+            ValueError: The region gives something else than a weight in [0, 1] for each.
+        """
         weights = self.region(points)
         if not isinstance(weights, Tensor) or weights.shape != points.shape[:1]:
             came = tuple(weights.shape) if isinstance(weights, Tensor) else type(weights).__name__
@@ -93,7 +116,7 @@ class Handle:
         return weights
 
     def turned(self, vectors: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
-        """Vectors (N, D), such as normals, after the whole motion: only RigidMotion turns them."""
+        """Return vectors (N, D), such as normals, after the whole motion: only RigidMotion turns them."""
         motion = self.displacement
         if not isinstance(motion, RigidMotion):
             return vectors
@@ -102,39 +125,44 @@ class Handle:
     def position(
         self, fraction: float, points: Float[Tensor, "n d"], normals: Float[Tensor, "n d"]
     ) -> Float[Tensor, "n d"]:
-        """Where points of the unedited surface, with their normals there, are to be after a fraction of the motion."""
+        """Return where points of the unedited surface, with their normals there, are to be after a fraction.
+
+        Raises:
+            ValueError: The motion does not give a finite place for each point.
+        """
         motion = self.displacement
         if isinstance(motion, RigidMotion):
             moved = motion.at(fraction, points)
         elif isinstance(motion, Along):
-            distance = exact(motion.distance(points) if callable(motion.distance) else motion.distance, points)
-            if distance.numel() not in (1, len(points)):
-                raise ValueError(
-                    f"The displacement Along must be one distance, or a function that gives one a point, "
-                    f"({len(points)},), but gave {tuple(distance.shape)}."
-                )
-            moved = points + fraction * distance.reshape(-1, 1) * normals
+            moved = motion.at(fraction, points, normals)
         else:
-            vectors = motion(points) if callable(motion) else motion
-            if callable(motion) and not isinstance(vectors, Tensor):
-                raise ValueError(
-                    f"The displacement must be a tensor of vectors (N, D), but the function gave a "
-                    f"{type(vectors).__name__}."
-                )
-            vectors = exact(vectors, points)
-            if vectors.shape not in (points.shape, points.shape[1:]):
-                raise ValueError(
-                    f"A displacement must be a vector of {points.shape[1]} numbers or one a point, but has shape "
-                    f"{tuple(vectors.shape)}."
-                )
-            moved = points + fraction * vectors
+            moved = points + fraction * _vectors(motion, points)
         if not bool(torch.isfinite(moved).all()):
             raise ValueError("A handle's displacement is not finite. Mend the vector or the function that gives it.")
         return moved
 
+    def __repr__(self) -> str:
+        return described_fields(self)
+
+
+def _vectors(motion: Vector | Callable[[Tensor], Tensor], points: Float[Tensor, "n d"]) -> Tensor:
+    """Return the displacement as one vector (D,), or one a point (N, D)."""
+    vectors = motion(points) if callable(motion) else motion
+    if callable(motion) and not isinstance(vectors, Tensor):
+        raise ValueError(
+            f"The displacement must be a tensor of vectors (N, D), but the function gave a {type(vectors).__name__}."
+        )
+    vectors = exact(vectors, points)
+    if vectors.shape not in (points.shape, points.shape[1:]):
+        raise ValueError(
+            f"A displacement must be a vector of {points.shape[1]} numbers or one a point, but has shape "
+            f"{tuple(vectors.shape)}."
+        )
+    return vectors
+
 
 def _rotation_generator(rotation: Vector | float | None, dimension: int) -> Tensor:
-    """The skew-symmetric matrix whose exponential is the rotation."""
+    """Return the skew-symmetric matrix (D, D) whose exponential is the rotation."""
     zero = torch.zeros(dimension, dimension, dtype=torch.float64)
     if rotation is None:
         return zero

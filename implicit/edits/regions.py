@@ -1,4 +1,4 @@
-"""Where an edit acts and what it asks: regions of space, motions, and handles that join the two.
+"""Regions of space, in which an edit acts.
 
 A region is any callable from points (N, D) to weights (N,) in [0, 1]; the ones here combine with & (both),
 | (either) and ~ (all but). Their optional `falloff` lets the weight sink smoothly from 1 to 0 over that
@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -26,29 +27,40 @@ class Region(ABC):
 
     @abstractmethod
     def __call__(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
-        """Weight of each point."""
+        """Return the weight of each point."""
 
     def __and__(self, other: RegionLike) -> Region:
+        """Return the region of the points that lie in both."""
         require_callable("The other region", other, "a region, or a function from points (N, D) to weights (N,)")
-        return _Combined(lambda points: torch.minimum(self(points), other(points)))
+        words = f"({self!r} & {described(other)})"
+        return _Combined(lambda points: torch.minimum(self(points), other(points)), words)
 
     def __or__(self, other: RegionLike) -> Region:
+        """Return the region of the points that lie in either."""
         require_callable("The other region", other, "a region, or a function from points (N, D) to weights (N,)")
-        return _Combined(lambda points: torch.maximum(self(points), other(points)))
+        words = f"({self!r} | {described(other)})"
+        return _Combined(lambda points: torch.maximum(self(points), other(points)), words)
 
     def __invert__(self) -> Region:
-        return _Combined(lambda points: 1 - self(points))
+        """Return the region of all other points."""
+        return _Combined(lambda points: 1 - self(points), f"~{self!r}")
+
+    def __repr__(self) -> str:
+        return described_fields(self)
 
 
 class _Combined(Region):
-    def __init__(self, weight: RegionLike) -> None:
-        self._weight = weight
+    def __init__(self, weight: RegionLike, words: str) -> None:
+        self._weight, self._words = weight, words
 
     def __call__(self, points: Tensor) -> Tensor:
         return self._weight(points)
 
+    def __repr__(self) -> str:
+        return self._words
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class Ball(Region):
     """Points within `radius` of `center`."""
 
@@ -65,7 +77,7 @@ class Ball(Region):
         return _sink((points - like(self.center, points)).norm(dim=1) - self.radius, self.falloff)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Box(Region):
     """Points between the corners `lower` and `upper`."""
 
@@ -84,7 +96,7 @@ class Box(Region):
         return _sink(outside.norm(dim=1), self.falloff)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class HalfSpace(Region):
     """Points on the side of the plane through `point` that `normal` points to."""
 
@@ -103,7 +115,7 @@ class HalfSpace(Region):
         return _sink(-(points - like(self.point, points)) @ (normal / normal.norm()), self.falloff)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class NearPoints(Region):
     """Points within `radius` of any of `centers` (M, D): a set picked on a mesh, for instance."""
 
@@ -125,7 +137,7 @@ class NearPoints(Region):
 
 
 def _sink(distance: Tensor, falloff: float) -> Tensor:
-    """1 at distance <= 0, sinking to 0 at `falloff`."""
+    """Return 1 at distance <= 0, sinking to 0 at `falloff`."""
     if falloff <= 0:
         return (distance <= 0).to(distance)
     t = (distance / falloff).clamp(0, 1)
@@ -133,6 +145,7 @@ def _sink(distance: Tensor, falloff: float) -> Tensor:
 
 
 def like(vector: Vector | Tensor, points: Tensor, name: str = "The region") -> Tensor:
+    """Return a vector, or points, in the dtype and on the device of points; refuse other dimensions than theirs."""
     value = exact(vector, points)
     if value.shape[-1] != points.shape[1]:
         raise ValueError(
@@ -143,6 +156,7 @@ def like(vector: Vector | Tensor, points: Tensor, name: str = "The region") -> T
 
 
 def require_place(name: str, value: Vector) -> Tensor:
+    """Return a point or vector (D,) in float64, to be looked at; refuse what is none."""
     place = require_numbers(name, value, "a point or vector (D,)")
     if place.ndim != 1:
         raise ValueError(f"{name} must be a point or vector (D,), but has the shape {tuple(place.shape)}.")
@@ -157,3 +171,32 @@ def exact(value: Vector | float, of: Tensor) -> Tensor:
 def _require_positive(what: str, name: str, value: float) -> None:
     if isinstance(value, str) or not value > 0:
         raise ValueError(f"{what} needs a positive {name}, but got {value!r}.")
+
+
+def described_fields(value: Any) -> str:
+    """Return a dataclass's name and fields in a line, without those that are at their default."""
+    words = [
+        f"{part.name}={described(getattr(value, part.name))}"
+        for part in fields(value)
+        if getattr(value, part.name) is not part.default and described(getattr(value, part.name)) != repr(part.default)
+    ]
+    return f"{type(value).__name__}({', '.join(words)})"
+
+
+def described(value: Any) -> str:
+    """Return a vector, number or function in a few words: up to nine numbers as they are, of more the shape."""
+    if isinstance(value, type(lambda: None)):
+        return value.__qualname__.rpartition(".")[2]
+    try:
+        numbers = torch.as_tensor(value, dtype=torch.float64)
+    except (TypeError, ValueError, RuntimeError):
+        return repr(value)
+    if numbers.numel() > 9:
+        return f"<{' x '.join(str(n) for n in numbers.shape)} numbers>"
+    return _nested(numbers.tolist())
+
+
+def _nested(value: Any) -> str:
+    if not isinstance(value, list):
+        return f"{value:.4g}"
+    return f"({', '.join(_nested(part) for part in value)}{',' * (len(value) == 1)})"

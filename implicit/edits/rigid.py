@@ -1,11 +1,11 @@
-"""Rigid editing: the handles go where they are told, and the rest follows as rigidly as the field allows.
+"""Rigid editing: the handles go to their targets, and the rest follows as rigidly as the field allows.
 
 Each step minimises E_K + alpha E_C over the parameters and the coefficients of a tangential basis together
 [paper, section 4.3]: E_K = int |J + J^T|^2 is zero just for infinitesimal rigid motions (Killing fields). The paper
 trains a second network for the tangential part; a linear basis makes each step one least squares.
 
-What the handles ask of the shape as a whole, the rigid motion that fits their goals best, is done first, and exactly,
-where the network is a plain one; the steps have only the rest to do.
+The rigid motion that fits the handles' targets best, as a whole, is done first, and exactly, where the network has a
+closed form; the steps have only the rest to do.
 
 A wide network's step is sought among combinations of the sensitivities of some points, a narrow one's among all
 parameters. All is computed in float64: the damping that suits these systems is below what single precision resolves.
@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import torch
 from jaxtyping import Float
@@ -23,7 +24,7 @@ from torch import Tensor
 from implicit.arguments import require_positive, require_whole
 from implicit.edits.handles import Handle
 from implicit.edits.rigid_placement import Placement
-from implicit.edits.targets import checked_handles
+from implicit.edits.targets import AveragedTargets, checked_handles
 from implicit.evolve.constraints import checked_constraints
 from implicit.evolve.edit import Edit, EditStatus, Progress, require_options, with_evidence
 from implicit.evolve.evolve import evolve
@@ -92,15 +93,15 @@ def rigid_edit(
             1 for both; what lies off the surface then costs as much as strain on it. The default leaves half the
             tangential energy on the bundled cow, with the same handles.
         tangential: Basis of the motion along the surface; None takes CosineFeatures(field).
-        points: How many points carry the energies, spread as far apart as can be, or the sample itself.
+        points: Number of points that carry the energies, spread as far apart as can be, or the sample itself.
         damping: Penalty on the squares of the unknowns; None adapts it to the linearity error.
-        off_surface_strength: How firmly the field away from the surface is tied to the surface's motion, see
+        off_surface_strength: Weight by which the field off the surface is tied to the surface's motion, see
             implicit.step.off_surface. 0 leaves it alone.
         constraints: Functionals to hold, such as Volume().
-        resolution: Of the quadrature that measures the constraints, and of the pieces of the surface that are counted.
+        resolution: Cells a side of the quadrature that measures the constraints and counts the pieces of the surface.
         track: Further surface points (M, D) to carry along.
         progress: Called after each step.
-        seed: Of the random points and features.
+        seed: Seed of the random points and features.
 
     Returns:
         The edit. `before` and `after` say how sound the field is, `notes` what has become worse, and whether the points
@@ -112,16 +113,23 @@ def rigid_edit(
     """
     require_options(field, damping=damping, resolution=resolution, progress=progress, seed=seed)
     constraints = checked_constraints(constraints)
-    if track is not None:
-        field.to(torch.float64).require_points(field.to(torch.float64).in_precision(track), "track")
-    settings = RigidSettings(steps, alpha, bending, thickness, damping, off_surface_strength, seed)
-    precise, sample, operation = prepare(field, handles, settings, tangential, points)
-    tracked = None if track is None else track.to(precise.theta)
+    precise = field.to(torch.float64)
+    tracked = None if track is None else precise.require_points(precise.in_precision(track), "track")
+    settings = RigidSettings(
+        steps=steps,
+        alpha=alpha,
+        bending=bending,
+        thickness=thickness,
+        damping=damping,
+        off_surface_strength=off_surface_strength,
+        seed=seed,
+    )
+    operation = prepare(precise, handles, settings, tangential, points)
+    sample, target = operation.sample, operation.targets.target()
     before = field_soundness(field, resolution)
     whole = operation.placement(1.0)
     if _can_be_placed(precise, whole, sample, constraints):
-        start = whole.field(precise)
-        operation.begin_at(whole)
+        start, operation = whole.field(precise), replace(operation, begin=whole)
     else:
         start, whole = precise, Placement.none(sample.points)
     edit = evolve(
@@ -132,7 +140,7 @@ def rigid_edit(
         constraints=constraints,
         resolution=resolution,
         track=None if tracked is None else whole.at(tracked),
-        wanted=operation.wanted() + sample.points - whole.at(sample.points),
+        wanted=target + sample.points - whole.at(sample.points),
         progress=progress,
     )
     edit = replace(
@@ -141,14 +149,14 @@ def rigid_edit(
         points=sample.points,
         normals=sample.normals,
         displacement=edit.points + edit.displacement - sample.points,
-        wanted=operation.wanted(),
+        wanted=target,
         notes=(*edit.notes, *operation.notes(len(field.theta))),
     )
     return with_evidence(edit, before, resolution)
 
 
 def _can_be_placed(field: Field, whole: Placement, sample: SurfaceSample, constraints: Sequence[Functional]) -> bool:
-    """Whether the field can first be moved as a whole: no constraint may feel it, and it must stay in its bounds."""
+    """Return whether the field can first be moved as a whole: no constraint feels it, and it stays in its bounds."""
     if not is_plain(field) or not all(isinstance(constraint, (Volume, Area)) for constraint in constraints):
         return False
     moved = whole.at(sample.points)
@@ -156,16 +164,16 @@ def _can_be_placed(field: Field, whole: Placement, sample: SurfaceSample, constr
     return bool(((moved > lower) & (moved < upper)).all())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RigidSettings:
-    """What the steps of a rigid edit weigh; see there."""
+    """Weights of the energies of a rigid edit's steps; see rigid_edit for each."""
 
-    steps: int
+    steps: int = 1
     alpha: float
     bending: float
     thickness: float
-    damping: float | None
-    off_surface_strength: float
+    damping: float | None = None
+    off_surface_strength: float = 0.0
     seed: int
 
     def __post_init__(self) -> None:
@@ -176,111 +184,96 @@ class RigidSettings:
 
 
 def prepare(
-    field: Field,
+    precise: Field,
     handles: Sequence[Handle],
     settings: RigidSettings,
     tangential: TangentialModel | None,
     points: int | SurfaceSample,
-) -> tuple[Field, SurfaceSample, RigidOperation]:
-    """The field in float64, the points that carry the energies, and what each step minimises; see rigid_edit."""
-    if require_field(field).dimension != 3:
-        raise ValueError(f"rigid_edit needs a field in 3 dimensions, but this one has {field.dimension}.")
+) -> RigidOperation:
+    """Return what each step minimises, of a field in float64, with the points that carry the energies; see rigid_edit.
+
+    Raises:
+        ValueError: As rigid_edit.
+    """
+    if require_field(precise).dimension != 3:
+        raise ValueError(f"rigid_edit needs a field in 3 dimensions, but this one has {precise.dimension}.")
     handles = checked_handles(handles)
     if tangential is not None and not callable(getattr(tangential, "slopes", None)):
         raise TypeError(f"tangential must be None or a model such as CosineFeatures(field), but is {tangential!r}.")
     most = NUMBERS // FEWEST_COMBINATIONS
-    if len(field.theta) > most:
+    if len(precise.theta) > most:
         raise ValueError(
-            f"The field has {len(field.theta):,} parameters; a rigid edit takes up to {most:,}. Edit some "
+            f"The field has {len(precise.theta):,} parameters; a rigid edit takes up to {most:,}. Edit some "
             "of them alone, such as those of the last layers: Field(module, parameters=[...])."
         )
-    precise = field.to(torch.float64)
     points = points.to(torch.float64) if isinstance(points, SurfaceSample) else points
     sample = carrying_points(precise, points, "farthest", seed=settings.seed)
     model = CosineFeatures(precise, seed=settings.seed) if tangential is None else tangential
-    return precise, sample, RigidOperation(handles, sample, settings, model)
+    targets = AveragedTargets(handles, sample.points, sample.normals)
+    targets.require_points_in_each_region()
+    _require_rigid_motion_fixed(sample.points[targets.prescribed])
+    return RigidOperation(sample, targets, settings, model)
 
 
+@dataclass(frozen=True, eq=False)
 class RigidOperation:
-    """What the steps of a rigid edit minimise, for the loop."""
+    """Energies that the steps of a rigid edit minimise, for the loop.
 
-    columns = ()
+    Attributes:
+        sample: The points that carry the energies, on the unedited surface.
+        targets: Targets that the handles set them.
+        settings: The weights of the energies.
+        tangential: Basis of the motion along the surface.
+        begin: The rigid motion that took the field and the sample to where the loop begins; None is none.
+    """
 
-    def __init__(
-        self, handles: list[Handle], sample: SurfaceSample, settings: RigidSettings, tangential: TangentialModel
-    ) -> None:
-        self._handles, self._sample, self._settings, self._tangential = handles, sample, settings, tangential
-        self._weights = [handle.weights(sample.points) for handle in handles]
-        self._total = torch.stack(self._weights).sum(dim=0) if handles else torch.zeros_like(sample.weights)
-        for k, weights in enumerate(self._weights):
-            if not bool((weights > 0).any()):
-                raise ValueError(
-                    f"No point of the surface lies in the region of handles[{k}]. The surface spans "
-                    f"{sample.points.amin(dim=0).tolist()} to {sample.points.amax(dim=0).tolist()}; move or widen it."
-                )
-        _require_rigid_motion_fixed(sample.points[self.held])
-        self._begin: Placement | None = None
+    columns: ClassVar[tuple[str, ...]] = ()
 
-    @property
-    def held(self) -> Tensor:
-        """Which points the handles hold, (I,) bool."""
-        return self._total > 0
-
-    def goal(self, fraction: float) -> Tensor:
-        """Where the held points are to be after the fraction; where handles overlap, their weighted mean."""
-        total = torch.zeros_like(self._sample.points)
-        for handle, weights in zip(self._handles, self._weights, strict=True):
-            total += weights[:, None] * handle.position(fraction, self._sample.points, self._sample.normals)
-        return total / self._total.clamp(min=torch.finfo(total.dtype).tiny)[:, None]
+    sample: SurfaceSample
+    targets: AveragedTargets
+    settings: RigidSettings
+    tangential: TangentialModel
+    begin: Placement | None = None
 
     def placement(self, fraction: float) -> Placement:
-        """The rigid motion that takes the held points nearest to their goals after the fraction."""
-        held = self.held
-        weights = (self._sample.weights * self._total)[held]
-        return Placement.fitting(self._sample.points[held], self.goal(fraction)[held], weights)
-
-    def begin_at(self, whole: Placement) -> None:
-        """Let the loop begin with all points where this motion takes them, so that it has the rest to do alone."""
-        self._begin = whole
+        """Return the rigid motion that takes the held points nearest to their targets after the fraction."""
+        held = self.targets.prescribed
+        weights = (self.sample.weights * self.targets.total)[held]
+        return Placement.fitting(self.sample.points[held], self.targets.positions(fraction)[held], weights)
 
     def _path(self, fraction: float) -> Tensor:
-        """Where the held points are to be after the fraction of the way from where the loop began."""
-        goal = self.goal(fraction)
-        if self._begin is None or fraction == 1:
-            return goal
-        return self._begin.at(self.placement(fraction).undone(goal))
-
-    def wanted(self) -> Tensor:
-        """The whole displacement of the held points; NaN elsewhere."""
-        whole = self.goal(1.0) - self._sample.points
-        return torch.where(self.held[:, None], whole, torch.full_like(whole, float("nan")))
+        """Return where the points are to be after the fraction of what the loop has left to do."""
+        positions = self.targets.positions(fraction)
+        if self.begin is None or fraction == 1:
+            return positions
+        return self.begin.at(self.placement(fraction).undone(positions))
 
     def notes(self, parameters: int) -> tuple[str, ...]:
-        """What the caller should know of the answer: whether the strain is seen at fewer places than could hide it."""
+        """Return what to know of the answer: whether the strain is seen at fewer places than could hide it."""
         combinations = _combinations(parameters)
         count = parameters if combinations is None else combinations
-        unknowns = count + 3 * self._tangential.count
-        entries = 3 + 2 * (self._settings.bending > 0) + (self._settings.thickness > 0)
-        if entries * len(self._sample) >= unknowns:
+        unknowns = count + 3 * self.tangential.count
+        entries = 3 + 2 * (self.settings.bending > 0) + (self.settings.thickness > 0)
+        if entries * len(self.sample) >= unknowns:
             return ()
         return (
-            f"The strain at {len(self._sample)} points is {entries * len(self._sample)} equations for {unknowns} "
+            f"The strain at {len(self.sample)} points is {entries * len(self.sample)} equations for {unknowns} "
             f"unknowns, so that between the points the surface may be strained unseen. Take {-(-unknowns // entries)} "
             "points or more, or fewer waves.",
         )
 
     def step(self, state: State[None]) -> StepProblem:
         """Return the problem of this step."""
-        held, settings = self.held, self._settings
+        held, settings = self.targets.prescribed, self.settings
         target = (self._path((state.step + 1) / settings.steps) - state.points)[held]
         reach = VectorTarget(
-            state.points[held], target, settings.alpha * (self._sample.weights * self._total.clamp(max=1))[held]
+            state.points[held], target, settings.alpha * (self.sample.weights * self.targets.weights)[held]
         )
-        strain = Killing(state.points, self._sample.weights, settings.bending, settings.thickness)
+        strain = Killing(state.points, self.sample.weights, settings.bending, settings.thickness)
         largest = float(target.norm(dim=1).max()) / (SMALL * state.field.size)
         damping = DAMPING * min(max(largest, LEAST), 1.0)
         energies: list[Energy] = [strain, reach]
-        here = SurfaceSample(state.points, state.field.normal(state.points), self._sample.weights)
+        here = SurfaceSample(state.points, state.field.normal(state.points), self.sample.weights)
         strength = settings.off_surface_strength
         away = off_surface(state.field, here, strength=strength, seed=settings.seed + state.step)
         if strength > 0:
@@ -288,11 +281,11 @@ class RigidOperation:
         count = _combinations(len(state.field.theta))
         directions = None if count is None else spanned(state.field, state.points, away.points, count)
         return StepProblem(
-            DeformationSpace(state.field, self._tangential, directions),
+            DeformationSpace(state.field, self.tangential, directions),
             energies,
             # A large error will do, for the surface is brought to where the step sends it.
             DampingRule(settings.damping, first=damping, least=damping, allowed_error=0.3),
-            correction_weights=self._sample.weights,
+            correction_weights=self.sample.weights,
         )
 
     def start(self, field: Field, points: Tensor) -> None:
@@ -308,12 +301,12 @@ class RigidOperation:
 
 
 def _combinations(parameters: int) -> int | None:
-    """How many combinations of so many parameters a step chooses among; None for all."""
+    """Return how many combinations of so many parameters a step chooses among; None for all."""
     return None if parameters <= ALL_PARAMETERS else min(COMBINATIONS, NUMBERS // parameters)
 
 
 def _require_rigid_motion_fixed(points: Tensor) -> None:
-    """Three points off one line pin all six rigid motions; fewer leave the least squares singular."""
+    """Refuse points on one line: three off it pin all six rigid motions, fewer leave the least squares singular."""
     spread = torch.linalg.svdvals((points - points.mean(dim=0)).double()) if len(points) >= 3 else None
     if spread is None or not bool(spread[1] > 1e-6 * spread[0]):
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Rigid motions in closed form: the one that fits moved points best, and a plain network's field moved by one.
+"""Rigid motions in closed form: the one that fits moved points best, and a network's field moved by one.
 
     f'(x) = f(R^T (x - t)):    W_1' = W_1 R^T,    b_1' = b_1 - W_1 R^T t
 
@@ -20,43 +20,48 @@ from implicit.surface.quadrature import SurfaceSample
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """x -> R x + t."""
+    """Rigid motion x -> R x + t."""
 
     rotation: Float[Tensor, "3 3"]
     translation: Float[Tensor, " 3"]
 
     @classmethod
     def none(cls, like: Tensor) -> Placement:
-        """The motion that leaves all where it is."""
+        """Return the motion that leaves all where it is."""
         return cls(torch.eye(3).to(like), torch.zeros(3).to(like))
 
     @classmethod
     def fitting(
-        cls, start: Float[Tensor, "n 3"], goal: Float[Tensor, "n 3"], weights: Float[Tensor, " n"]
+        cls, start: Float[Tensor, "n 3"], target: Float[Tensor, "n 3"], weights: Float[Tensor, " n"]
     ) -> Placement:
-        """The rigid motion that takes the points nearest to their goals in the weighted mean square [Kabsch 1976]."""
+        """Return the rigid motion that takes points nearest to their targets in the weighted mean square [Kabsch 1976].
+
+        Args:
+            start, target: Positions before and after (N, 3).
+            weights: Weight of each point in the mean (N,).
+        """
         share = weights / weights.sum()
-        a, b = share @ start, share @ goal
-        U, _, Vt = torch.linalg.svd((goal - b).T @ (share[:, None] * (start - a)))
+        a, b = share @ start, share @ target
+        U, _, Vt = torch.linalg.svd((target - b).T @ (share[:, None] * (start - a)))
         turn = torch.ones_like(a)
         turn[-1] = torch.linalg.det(U @ Vt)  # a reflection is no rigid motion
         rotation = (U * turn) @ Vt
         return cls(rotation, b - rotation @ a)
 
     def at(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
-        """The points moved."""
+        """Return the points moved (N, 3)."""
         return points @ self.rotation.T + self.translation
 
     def undone(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
-        """The points moved back."""
+        """Return the points moved back (N, 3)."""
         return (points - self.translation) @ self.rotation
 
     def sample(self, sample: SurfaceSample) -> SurfaceSample:
-        """A sample moved along."""
+        """Return a sample moved along."""
         return SurfaceSample(self.at(sample.points), sample.normals @ self.rotation.T, sample.weights)
 
     def field(self, field: Field) -> Field:
-        """The field of a plain network moved along.
+        """Return the field of a network of known layers moved along.
 
         Raises:
             ValueError: The first layer is not a linear one whose weights and biases are edited.

@@ -22,11 +22,12 @@ from torch import Tensor
 from implicit.arguments import require_between, require_positive, require_whole
 from implicit.edits.code_prior import CodePrior
 from implicit.edits.handles import Handle
-from implicit.edits.targets import checked_handles
+from implicit.edits.targets import SummedTargets, checked_handles
 from implicit.evolve.edit import Edit, EditStatus, Progress, require_options
 from implicit.evolve.evolve import evolve
 from implicit.evolve.operation import Outcome, State, Taken
 from implicit.field.field import Field
+from implicit.renamed import renamed
 from implicit.sensitivity.boundary_sensitivity import BLOCK, value_and_gradients
 from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import Energy, NormalTarget
@@ -36,6 +37,7 @@ from implicit.surface.quadrature import SurfaceSample
 from implicit.surface.sampling import farthest_order, sample_surface
 
 
+@renamed(least_cosine="least_alignment")
 def semantic_edit(
     field: Field,
     points: Float[Tensor, "i 3"],
@@ -46,7 +48,7 @@ def semantic_edit(
     damping: float | None = 0.1,
     prior: CodePrior | None = None,
     trust_region: float | None = None,
-    least_cosine: float = 0.5,
+    least_alignment: float = 0.5,
     tolerance: float = 0.05,
     track: Float[Tensor, "m 3"] | None = None,
     progress: Progress | None = None,
@@ -66,7 +68,7 @@ def semantic_edit(
         prior: Pulls the code towards those of the training shapes.
         trust_region: Largest change of the code in one step, in the code's own unit; the damping is raised until the
             step stays within.
-        least_cosine: Points whose normal is at a larger angle than this to their displacement are left out: the
+        least_alignment: Points whose normal is at a larger angle than this to their displacement are left out: the
             surface can slide through them without moving.
         tolerance: The edit stops when the root mean square of what is left along the normals is this part of the
             largest displacement along them.
@@ -84,12 +86,14 @@ def semantic_edit(
         SurfaceError: A point is farther than a fiftieth of the field's size from the surface.
     """
     require_options(field, damping=damping, track=track, progress=progress)
-    _check_options(steps, stride, trust_region, least_cosine, tolerance)
+    _check_options(steps, stride, trust_region, least_alignment, tolerance)
     if prior is not None and not isinstance(prior, CodePrior):
         raise TypeError(f"prior must be None or a CodePrior, such as CodePrior.of(codes), but is {prior!r}.")
     start = _starting_points(field, points, displacements)
     stride = field.size / 40 if stride is None else stride
-    operation = SemanticOperation(start, displacements, stride, damping, prior, trust_region, least_cosine, tolerance)
+    operation = SemanticOperation(
+        start, displacements, stride, damping, prior, trust_region, least_alignment, tolerance
+    )
     wanted = torch.where(operation.used[:, None], displacements, torch.full_like(displacements, float("nan")))
     return evolve(field, operation, start, steps=steps, track=track, wanted=wanted, progress=progress)
 
@@ -112,22 +116,16 @@ def prescribe(
     handles = checked_handles(handles)
     require_whole("points", points)
     sample = sample_surface(field, 40 * points, resolution=resolution, seed=seed)
-    chosen, ways = [], []
+    chosen, displacements = [], []
+    targets = SummedTargets(handles, sample.points, sample.normals)
+    targets.require_points_in_each_region()
     for k, handle in enumerate(handles):
-        inside = handle.weights(sample.points) > 0
-        if not bool(inside.any()):
-            raise ValueError(
-                f"No point of the surface lies in the region of handles[{k}]. The surface spans "
-                f"{sample.points.amin(dim=0).tolist()} to {sample.points.amax(dim=0).tolist()}; move or widen the "
-                "region."
-            )
         share = points // len(handles) + (k < points % len(handles))
-        x = sample.points[inside]
+        x = sample.points[targets.handle_weights[k] > 0]
         x = x[farthest_order(x, min(share, len(x)))]
-        way = handle.position(1.0, x, field.normal(x)) - x
         chosen.append(x)
-        ways.append(handle.weights(x)[:, None] * way)
-    return torch.cat(chosen), torch.cat(ways)
+        displacements.append(SummedTargets([handle], x, field.normal(x)).displacement())
+    return torch.cat(chosen), torch.cat(displacements)
 
 
 def _starting_points(field: Field, points: Tensor, displacements: Tensor) -> SurfaceSample:
@@ -143,13 +141,13 @@ def _starting_points(field: Field, points: Tensor, displacements: Tensor) -> Sur
 
 
 def _check_options(
-    steps: int, stride: float | None, trust_region: float | None, least_cosine: float, tolerance: float
+    steps: int, stride: float | None, trust_region: float | None, least_alignment: float, tolerance: float
 ) -> None:
     require_whole("steps", steps)
     for name, value in (("stride", stride), ("trust_region", trust_region)):
         if value is not None:
             require_positive(name, value, "length")
-    require_between("least_cosine", least_cosine, 0, 1)
+    require_between("least_alignment", least_alignment, 0, 1)
     require_positive("tolerance", tolerance)
     require_between("tolerance", tolerance, 0, 1)
 
@@ -162,7 +160,7 @@ class SemanticOperation:
         sample: The points, with their normals at the start.
         displacements: Where to (I, D).
         stride: No point aims farther than this in one step, a length.
-        damping, prior, trust_region, least_cosine, tolerance: Of semantic_edit.
+        damping, prior, trust_region, least_alignment, tolerance: Of semantic_edit.
 
     Raises:
         ValueError: No point is to move along its normal.
@@ -174,7 +172,7 @@ class SemanticOperation:
     damping: float | None
     prior: CodePrior | None
     trust_region: float | None
-    least_cosine: float
+    least_alignment: float
     tolerance: float
 
     columns = ("missed", "points_used", "prior_distance")
@@ -183,7 +181,7 @@ class SemanticOperation:
         if not bool(self._moving.any()):
             raise ValueError(
                 "No point is to move along its normal: every displacement is zero or at an angle with a cosine below "
-                f"{self.least_cosine:.3g} to the normal. Choose points on the faces that are to move."
+                f"{self.least_alignment:.3g} to the normal. Choose points on the faces that are to move."
             )
 
     @cached_property
@@ -207,7 +205,7 @@ class SemanticOperation:
     def _along(self, normals: Tensor) -> Tensor:
         """Return whether each point's displacement has enough along the normal, or is zero."""
         along = (self.displacements * normals).sum(dim=1).abs()
-        return along >= self.least_cosine * self.displacements.norm(dim=1)
+        return along >= self.least_alignment * self.displacements.norm(dim=1)
 
     def start(self, field: Field, points: Tensor) -> PointSpace:
         """Return the space at the points of the first step."""

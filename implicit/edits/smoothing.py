@@ -35,6 +35,7 @@ from implicit.evolve.edit import Edit, EditStatus, Progress, edit_status, requir
 from implicit.evolve.evolve import evolve
 from implicit.evolve.operation import Outcome, State, Taken
 from implicit.field.field import Field
+from implicit.renamed import renamed
 from implicit.sensitivity.pointwise_curvature import NormalTurning, normal_turning
 from implicit.sensitivity.shape_functionals import Functional, Volume
 from implicit.sensitivity.weak_curvature import WeakSurface
@@ -44,7 +45,7 @@ from implicit.step.mesh_energies import MeshNormalMotion
 from implicit.step.off_surface import off_surface
 from implicit.step.problem import DampingRule, Row, StepProblem
 from implicit.surface.quadrature import MeshedSample, SurfaceSample
-from implicit.surface.sampling import sample_surface, thinned
+from implicit.surface.sampling import sample_surface, subsample
 
 # Time of an implicit step in units of the area, where none is given: 86 of them take four fifths of a bunny's volume.
 STEP_OF_AREA = 1e-4
@@ -84,6 +85,7 @@ class Until:
         )
 
 
+@renamed(off="off_surface_strength")
 def smooth(
     field: Field,
     *,
@@ -96,7 +98,7 @@ def smooth(
     constraints: Sequence[Functional] = (),
     holding: Holding | None = None,
     until: Until | None = None,
-    off: float = 1e-2,
+    off_surface_strength: float = 1e-2,
     restore: float = 0.0,
     points: int = 400,
     directions: int | None = 200,
@@ -124,7 +126,8 @@ def smooth(
         constraints: Functionals to hold, such as Volume().
         holding: How they are held; None is by hard rows, restored by Newton's method.
         until: When to stop before.
-        off: Strength of the energy that lets the field off the surface follow the surface (implicit.step.off_surface).
+        off_surface_strength: Strength of the energy that lets the field off the surface follow the surface (see
+            implicit.step.off_surface).
         restore: Share of the field's deviation from a distance that a step undoes; 0 for fields that are none.
         points: Points at which the flow is prescribed, chosen anew for each step.
         directions: How many sensitivities span the step, three quarters of them on the surface; None takes all
@@ -150,7 +153,7 @@ def smooth(
     require_whole("steps", steps)
     require_choice("method", method, ("implicit", "explicit"))
     require_choice("curvature", curvature, get_args(Curvature))
-    _check_numbers(step_size, off, restore, points, directions)
+    _check_numbers(step_size, off_surface_strength, restore, points, directions)
     _check_objects(flow, where, until, holding)
     start = sample_surface(field, points, seed=seed)
     turning = normal_turning(field, start.points)
@@ -166,7 +169,7 @@ def smooth(
         implicit=method == "implicit",
         where=where,
         until=until or Until(),
-        off=off,
+        off_surface_strength=off_surface_strength,
         restore=restore,
         points=points,
         directions=directions,
@@ -246,10 +249,12 @@ def _default_step(field: Field, sample: SurfaceSample, method: str) -> float:
     return size if method == "implicit" else min(size, 0.5 * explicit_step_limit(field))
 
 
-def _check_numbers(step_size: float | None, off: float, restore: float, points: int, directions: int | None) -> None:
+def _check_numbers(
+    step_size: float | None, off_surface_strength: float, restore: float, points: int, directions: int | None
+) -> None:
     if step_size is not None:
         require_positive("step_size", step_size, "time, for mean curvature a squared length")
-    require_positive("off", off, or_zero=True)
+    require_positive("off_surface_strength", off_surface_strength, or_zero=True)
     require_positive("restore", restore, or_zero=True)
     require_whole("points", points)
     if directions is not None:
@@ -288,7 +293,7 @@ class SmoothingOperation:
     implicit: bool
     where: Region | None
     until: Until
-    off: float
+    off_surface_strength: float
     restore: float
     points: int
     directions: int | None
@@ -310,10 +315,12 @@ class SmoothingOperation:
     def step(self, state: State[FlowMemory]) -> StepProblem:
         """Return the problem of this step."""
         field, seed = state.field, self.seed + state.step
-        sample = thinned(field, state.sample, self.points, seed=seed)
+        sample = subsample(field, state.sample, self.points, seed=seed)
         energies, row = self._weak_energies(state) if self.weak else self._energies(field, sample)
-        away = off_surface(field, sample, strength=self.off, restore=self.restore, points=self.points // 4, seed=seed)
-        if self.off > 0:
+        away = off_surface(
+            field, sample, strength=self.off_surface_strength, restore=self.restore, points=self.points // 4, seed=seed
+        )
+        if self.off_surface_strength > 0:
             energies.append(away)
         basis = None if self.directions is None else spanned(field, sample.points, away.points, self.directions)
         return StepProblem(

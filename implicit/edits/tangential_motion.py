@@ -15,7 +15,6 @@ Sources: Stam & Schmidt, "On the velocity of an implicit surface", ACM TOG 30(3)
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import torch
 from jaxtyping import Float
@@ -24,7 +23,7 @@ from torch import Tensor
 from implicit.arguments import require_positive, require_tensor
 from implicit.field.field import Field, require_field
 from implicit.sensitivity.boundary_sensitivity import row_blocks
-from implicit.sensitivity.frame import Frame, speed_and_slope
+from implicit.sensitivity.frame import Frame, speed_and_slope, tangential_component
 from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import Killing
 from implicit.step.least_squares import LeastSquares, Rows
@@ -35,15 +34,6 @@ from implicit.surface.sampling import sample_surface
 # Damping of the near-isometric solve, relative to the trace of its normal matrix. The strain of a motion that could be
 # free of strain stays at about this part of the motion's square; less, and rounding decides.
 DAMPING = 1e-12
-
-
-class Slide(Protocol):
-    """A choice of the motion along the surface."""
-
-    def __call__(
-        self, field: Field, d_theta: Float[Tensor, " p"], points: Float[Tensor, "n d"]
-    ) -> Float[Tensor, "n d"]:
-        """Tangent vectors at surface points, a length, when the parameters change by d_theta."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +68,7 @@ class ConstantNormals:
             frame = Frame.at(field, part)
             tangents = frame.axes[:, :-1]
             slope = tangents @ (speed_and_slope(field, frame)[:, 1:] @ d_theta)[:, :, None]
-            shape = tangents @ frame.normal_slopes @ tangents.transpose(1, 2)
+            shape = frame.shape_operator
             curvatures, directions = torch.linalg.eigh((shape + shape.transpose(1, 2)) / 2)
             inverse = curvatures / (curvatures**2 + least**2)
             t = directions @ (inverse[:, :, None] * (directions.transpose(1, 2) @ slope))
@@ -121,9 +111,9 @@ class NearIsometric:
                 matrix, target = matrix[:, 1:], target - matrix[:, 0]
             system.add(Rows(matrix, target, rows.weights))
         c = system.solve(relative_damping=DAMPING).x.view(precise.dimension, model.count)
-        slide = model.values(at) @ c.T
+        motion = model.values(at) @ c.T
         n = precise.normal(at)
-        return (slide - n * (n * slide).sum(dim=1, keepdim=True)).to(points)
+        return tangential_component(motion, n).to(points)
 
 
 def _require_update(field: Field, d_theta: Tensor) -> None:

@@ -1,4 +1,4 @@
-"""The paper's own way to a rigid step: a second network for the motion along the surface, trained [section 4.3].
+"""The paper's own method for a rigid step: a second network for the motion along the surface, trained [section 4.3].
 
     D(x) = n u + (I - n n^T) T(x),    u = b . d_theta,    T a sine network R^3 -> R^3
 
@@ -25,7 +25,7 @@ from implicit.arguments import require_whole
 from implicit.edits.handles import Handle
 from implicit.edits.rigid import RigidSettings, prepare
 from implicit.evolve.operation import State
-from implicit.field.field import Field
+from implicit.field.field import Field, require_field
 from implicit.models.siren import Siren
 from implicit.sensitivity.boundary_sensitivity import normal_displacement
 from implicit.sensitivity.frame import Frame, speed_and_slope
@@ -46,13 +46,13 @@ FIELD_RATE = 3e-3
 
 
 class TrainingStatus(Enum):
-    """How the training ended; the value is the sentence a user reads."""
+    """End of a training; the value is the sentence a user reads."""
 
     TRAINED = "All iterations were taken."
     NOT_FINITE = "The training ran into numbers that are not finite; the weights are those of the iteration before."
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class TrainedStep:
     """One linear step of a rigid edit by a trained network, beside the least squares on the same points.
 
@@ -63,8 +63,8 @@ class TrainedStep:
         energy, strain: E_K + alpha E_C, and E_K alone, of the trained motion.
         linear_energy, linear_strain: The same of the least squares over d_theta and the linear tangential basis.
         losses: E_K + alpha E_C in each iteration.
-        seconds, linear_seconds: Of the training and of the least squares, each with its derivatives.
-        status: How the training ended.
+        seconds, linear_seconds: Wall time of the training and of the least squares, each with its derivatives.
+        status: End of the training.
     """
 
     field: Field
@@ -79,12 +79,21 @@ class TrainedStep:
     linear_seconds: float
     status: TrainingStatus
 
+    def __repr__(self) -> str:
+        precision = str(self.d_theta.dtype).removeprefix("torch.")
+        return (
+            f"TrainedStep: {self.status.name}, iterations {len(self.losses):,}, of {len(self.d_theta):,} parameters "
+            f"({precision}, {self.d_theta.device})\n"
+            f"  energy {self.energy:.4g}, of it strain {self.strain:.4g}, in {self.seconds:.3g} s; least squares: "
+            f"{self.linear_energy:.4g}, {self.linear_strain:.4g}, {self.linear_seconds:.3g} s"
+        )
+
     def displacement(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
-        """D at surface points, a length."""
+        """Return D at surface points (N, 3), a length."""
         n = self.field.normal(points)
         with torch.no_grad():
-            slide = self.network(points)
-        return slide + n * (normal_displacement(self.field, points, self.d_theta) - (n * slide).sum(dim=1))[:, None]
+            T = self.network(points)
+        return T + n * (normal_displacement(self.field, points, self.d_theta) - (n * T).sum(dim=1))[:, None]
 
 
 def trained_rigid_step(
@@ -102,14 +111,14 @@ def trained_rigid_step(
     seed: int = 0,
     progress: Callable[[int, int, float], None] | None = None,
 ) -> TrainedStep:
-    """One step of a rigid edit with a trained network for the motion along the surface.
+    """Take one step of a rigid edit with a trained network for the motion along the surface.
 
     Args:
         field: A field in 3D. It is not changed: the step is d_theta of the result.
         handles, alpha, bending, thickness, points, seed: See rigid_edit. The seed is that of the network too. Four
             numbers a point and parameter are kept throughout.
-        iterations: Of Adam. The energy still falls, slowly, after thousands.
-        width, depth: Of the network's hidden layers.
+        iterations: Number of iterations of Adam. The energy still falls, slowly, after thousands.
+        width, depth: Size and number of the network's hidden layers.
         tangential: Basis of the least squares beside it; None takes CosineFeatures(field).
         progress: Called after each iteration with its number, the number of iterations and the energy, of the motion
             as scaled for the training.
@@ -119,8 +128,10 @@ def trained_rigid_step(
     """
     for name, value in (("iterations", iterations), ("width", width), ("depth", depth)):
         require_whole(name, value)
-    settings = RigidSettings(1, alpha, bending, thickness, damping=None, off_surface_strength=0.0, seed=seed)
-    precise, sample, operation = prepare(field, handles, settings, tangential, points)
+    precise = require_field(field).to(torch.float64)
+    settings = RigidSettings(alpha=alpha, bending=bending, thickness=thickness, seed=seed)
+    operation = prepare(precise, handles, settings, tangential, points)
+    sample = operation.sample
     problem = operation.step(State(precise, 0, sample.points, len(sample), None))
     strain, reach = problem.energies
     assert isinstance(strain, Killing)
@@ -136,10 +147,10 @@ def trained_rigid_step(
 
     clock = time.perf_counter()
     network = vector_siren(width, depth, seed)
-    parts = StepEnergies.at(precise, strain, reach, operation.held)
+    energies = StepEnergies.at(precise, strain, reach, operation.targets.prescribed)
     scale = float(reach.target.norm(dim=1).max()) / (MOTION * precise.size) or 1.0  # 1 where all handles are anchors
     # In single precision, as trainings are; the energies of the result are taken in double.
-    unit = replace(parts, target=parts.target / scale).to(torch.float32)
+    unit = replace(energies, target=energies.target / scale).to(torch.float32)
     d_theta, losses, status = _train(network, unit, iterations, progress)
     with torch.no_grad():
         for parameter in network.layers[-1].parameters():
@@ -150,7 +161,7 @@ def trained_rigid_step(
     d_theta = scale * d_theta.to(torch.float64)
     with torch.no_grad():
         T, dT = value_and_slope(network, sample.points)
-        E_K, E_C = (float(part) for part in parts.energies(d_theta, T, dT))
+        E_K, E_C = (float(energy) for energy in energies.values(d_theta, T, dT))
     return TrainedStep(
         field=precise,
         d_theta=d_theta,
@@ -172,7 +183,7 @@ class LearnedFeatures:
     The network's own field is among those that they span, so the least squares over them is at least as good.
 
     Args:
-        network: Of a TrainedStep.
+        network: The network of a TrainedStep.
     """
 
     def __init__(self, network: Siren) -> None:
@@ -184,13 +195,16 @@ class LearnedFeatures:
 
     @property
     def count(self) -> int:
+        """Return the number of basis functions."""
         return self._count
 
     def values(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n k"]:
+        """Return the basis functions at the points."""
         with torch.no_grad():
             return self._functions(points)
 
     def slopes(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 k"]:
+        """Return their gradients at the points."""
         with torch.no_grad():
             return value_and_slope(self._functions, points)[1].transpose(1, 2)
 
@@ -212,16 +226,16 @@ class StepEnergies:
     speeds: Float[Tensor, "n 4 p"]  # u and its three slopes, for each parameter
     weights: Float[Tensor, " n"]
     shares: Float[Tensor, "3 3"]  # weights of the entries of J + J^T, in the axes
-    held: Float[Tensor, " n"]  # weight of the target, zero where nothing is asked
+    target_weights: Float[Tensor, " n"]  # zero where there is none
     target: Float[Tensor, "n 3"]
 
     @classmethod
     def at(cls, field: Field, strain: Killing, reach: VectorTarget, where: Tensor) -> StepEnergies:
-        """The derivatives of the field at the points that carry the strain; `where` marks those of the target."""
+        """Return the field's derivatives at the points that carry the strain; `where` marks those of the target."""
         frame = Frame.at(field, strain.points)
         speeds = speed_and_slope(field, frame)
-        held, target = torch.zeros_like(strain.weights), torch.zeros_like(strain.points)
-        held[where], target[where] = reach.weights, reach.target
+        weights, target = torch.zeros_like(strain.weights), torch.zeros_like(strain.points)
+        weights[where], target[where] = reach.weights, reach.target
         shares = [[strain.share(min(a, b), max(a, b), 2) for b in range(3)] for a in range(3)]
         return cls(
             strain.points,
@@ -231,18 +245,21 @@ class StepEnergies:
             speeds,
             strain.weights,
             torch.tensor(shares, dtype=torch.float64).to(speeds),
-            held,
+            weights,
             target,
         )
 
     def to(self, dtype: torch.dtype) -> StepEnergies:
-        """The same in another precision."""
+        """Return the same in another precision."""
         return StepEnergies(*(getattr(self, part.name).to(dtype) for part in fields(self)))
 
-    def energies(
+    def values(
         self, d_theta: Float[Tensor, " p"], T: Float[Tensor, "n 3"], dT: Float[Tensor, "n 3 3"]
     ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
-        """E_K and alpha E_C of D = T + n s, s = u - n . T (see implicit.step.deformation); dT[:, i, j] is dT_i/dx_j."""
+        """Return E_K and alpha E_C of D = T + n s, s = u - n . T, where dT[:, i, j] is dT_i/dx_j.
+
+        See implicit.step.deformation.
+        """
         speeds = self.speeds @ d_theta
         n = self.normals
         s = speeds[:, 0] - (n * T).sum(dim=1)
@@ -250,12 +267,12 @@ class StepEnergies:
         J = dT + n[:, :, None] * ds[:, None, :] + s[:, None, None] * self.normal_slopes
         strain = self.axes @ (J + J.transpose(1, 2)) @ self.axes.transpose(1, 2)
         E_K = (self.weights[:, None, None] * self.shares * strain.square()).sum()
-        E_C = (self.held[:, None] * (T + n * s[:, None] - self.target).square()).sum()
+        E_C = (self.target_weights[:, None] * (T + n * s[:, None] - self.target).square()).sum()
         return E_K, E_C
 
 
 def vector_siren(width: int, depth: int, seed: int) -> Siren:
-    """A sine network R^3 -> R^3 that is zero at the start."""
+    """Return a sine network R^3 -> R^3 that is zero at the start."""
     network = Siren(3, width, depth, generator=torch.Generator().manual_seed(seed))
     network.layers[-1] = nn.Linear(width, 3)
     for parameter in network.layers[-1].parameters():
@@ -266,7 +283,7 @@ def vector_siren(width: int, depth: int, seed: int) -> Siren:
 def value_and_slope(
     function: Callable[[Tensor], Tensor], points: Float[Tensor, "n 3"]
 ) -> tuple[Float[Tensor, "n k"], Float[Tensor, "n k 3"]]:
-    """T and dT_i/dx_j at the points, by one forward derivative along each axis."""
+    """Return T and dT_i/dx_j at the points, by one forward derivative along each axis."""
 
     def along(axis: Tensor) -> tuple[Tensor, Tensor]:
         return jvp(function, (points,), (axis.expand_as(points),))  # type: ignore[return-value]
@@ -276,10 +293,10 @@ def value_and_slope(
 
 
 def _train(
-    network: nn.Module, parts: StepEnergies, iterations: int, progress: Callable[[int, int, float], None] | None
+    network: nn.Module, energies: StepEnergies, iterations: int, progress: Callable[[int, int, float], None] | None
 ) -> tuple[Tensor, list[float], TrainingStatus]:
     """Train the network in place, and d_theta with it."""
-    d_theta = torch.zeros_like(parts.speeds[0, 0]).requires_grad_()
+    d_theta = torch.zeros_like(energies.speeds[0, 0]).requires_grad_()
     unknowns = [d_theta, *network.parameters()]
     optimiser = torch.optim.Adam(
         [{"params": [d_theta], "lr": FIELD_RATE}, {"params": list(network.parameters()), "lr": NETWORK_RATE}]
@@ -288,7 +305,7 @@ def _train(
     losses: list[float] = []
     kept = [unknown.detach().clone() for unknown in unknowns]
     for iteration in range(1, iterations + 1):
-        E_K, E_C = parts.energies(d_theta, *value_and_slope(network, parts.points))
+        E_K, E_C = energies.values(d_theta, *value_and_slope(network, energies.points))
         loss = E_K + E_C
         value = float(loss.detach())
         if not math.isfinite(value):

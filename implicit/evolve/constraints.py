@@ -22,7 +22,7 @@ from implicit.step.deformation import DeformationSpace
 from implicit.step.least_squares import LeastSquares, Rows, Solution
 from implicit.surface.extraction import require_resolution
 from implicit.surface.quadrature import MeshedSample, SurfaceSample, meshed_quadrature
-from implicit.surface.sampling import thinned
+from implicit.surface.sampling import subsample
 
 Enforce = Literal["rows", "projection", "penalty"]
 
@@ -324,7 +324,7 @@ class ConstraintSet:
         return [g if s == 0 or g * s > 0 else 0.0 for g, s in zip(gaps, self._signs, strict=True)]
 
     def _sensitivities(self, field: Field, space: DeformationSpace, measured: Measurement) -> Float[Tensor, "m n"]:
-        steering = thinned(field, measured.sample, STEERING_POINTS)
+        steering = subsample(field, measured.sample, STEERING_POINTS)
         lengths = field.gradient_length(field.gradient(steering.points))
         C = field.theta.new_zeros(len(self.functionals), space.size)
         for k, constraint in enumerate(self.functionals):

@@ -33,7 +33,7 @@ from implicit.evolve.record import COLUMNS, StepRecord, history_row
 from implicit.evolve.trial import Attempt, StepRefused, Trial, normal_correction
 from implicit.field.field import Field
 from implicit.sensitivity.shape_functionals import Functional
-from implicit.step.least_squares import LeastSquares, Solution
+from implicit.step.least_squares import Factorised, Solution
 from implicit.step.problem import Projection, Row, StepProblem, assemble, predicted_displacement
 from implicit.surface.projection import newton_to_surface, require_on_surface
 from implicit.surface.quadrature import SurfaceSample
@@ -128,8 +128,8 @@ def evolve(
 
 def first_solve(
     field: Field, operation: Operation[Memory], start: SurfaceSample, resolution: int = 48
-) -> tuple[LeastSquares, Solution] | EditStatus:
-    """Return the first step's least squares and its solution at the damping that the linear model allows.
+) -> tuple[Factorised, Solution] | EditStatus:
+    """Return the first step's factored least squares and its solution at the damping that the linear model allows.
 
     The step is not taken. Where no damping allows it, the status of the edit that would end there comes back.
     """
@@ -140,7 +140,7 @@ def first_solve(
         trial, _ = attempt.accepted(state.damping)
     except StepRefused as refusal:
         return refusal.status
-    return attempt.system, trial.solution
+    return trial.factorised, trial.solution
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +236,7 @@ class Loop(Generic[Memory]):
             moved = self._corrected(state, problem, trial)
 
             # Restore the constraints
-            moved = self._restored(state, problem, attempt.system, moved)
+            moved = self._restored(state, problem, trial.factorised, moved)
             edited = field.with_theta(field.theta + space.split(moved.x)[0])
 
             # Carry the points
@@ -252,7 +252,7 @@ class Loop(Generic[Memory]):
             measured=moved.measured,
             topology=moved.topology,
             damping=damping,
-            correction=(attempt.system.correction, space),
+            correction=(trial.factorised.correction, space),
         )
         outcome = self.operation.taken(
             state,
@@ -311,12 +311,12 @@ class Loop(Generic[Memory]):
         whole = undivided_part(state.field, x, problem.space, self.constraints, state.topology)
         return Moved(whole.part * x, whole.part, whole.measured, whole.topology)
 
-    def _restored(self, state: State[Memory], problem: StepProblem, system: LeastSquares, moved: Moved) -> Moved:
+    def _restored(self, state: State[Memory], problem: StepProblem, factorised: Factorised, moved: Moved) -> Moved:
         """Return the step after which the functionals are at their targets, and the surface measured."""
         field, space, constraints = state.field, problem.space, self.constraints
         if constraints.enforcement.restores:
-            x, measured = constraints.restore(field, moved.x, space, system.correction, measured=moved.measured)
-            if not field.require_finite(x):
+            x, measured = constraints.restore(field, moved.x, space, factorised.correction, measured=moved.measured)
+            if not bool(torch.isfinite(x).all()):
                 raise StepRefused(EditStatus.NOT_FINITE)
             return replace(moved, x=x, measured=measured)
         if constraints.functionals and moved.measured is None:

@@ -20,7 +20,7 @@ from implicit.evolve.edit import EditStatus
 from implicit.field.field import Field
 from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import NormalTarget
-from implicit.step.least_squares import LeastSquares, Solution, SolveStatus
+from implicit.step.least_squares import Factorised, LeastSquares, Solution, SolveStatus
 from implicit.step.problem import Projection, StepProblem, assemble, predicted_displacement
 from implicit.surface.projection import newton_to_surface
 
@@ -69,6 +69,12 @@ class Trial:
     reach: float
     error: LinearisationError
     solves: int
+
+    @property
+    def factorised(self) -> Factorised:
+        """Factored least squares that gave the step; a failed solve makes no trial."""
+        assert self.solution.factorised is not None
+        return self.solution.factorised
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +141,7 @@ class Attempt:
         """Return the step tried on the field, or why it cannot be."""
         problem, field = self.problem, self.problem.space.field
         moved = field.with_theta(field.theta + problem.space.split(x)[0])
-        if not moved.require_finite(moved.theta):
+        if not bool(torch.isfinite(moved.theta).all()):
             return EditStatus.NOT_FINITE
         predicted = predicted_displacement(problem, x, self.probed)
         # A point may have to go as far again as it was predicted to; two cells more allow for small steps.

@@ -45,7 +45,7 @@ BUNDLED = (
 
 
 def bundled(name: str) -> FamilyModel:
-    """A model that comes with the package, one of BUNDLED; its report says how it was made and how good it is."""
+    """Return a model of the package, one of BUNDLED; its report says how it was made and how well it does."""
     if name not in BUNDLED:
         raise ValueError(f"There is no bundled model {name!r}; there are {', '.join(BUNDLED)}. Choose one of them.")
     with resources.as_file(resources.files("implicit") / "data" / f"{name}.safetensors") as path:

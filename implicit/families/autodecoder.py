@@ -33,9 +33,9 @@ class AutoDecoder:
 
     Args:
         decoder: Without weight norm: its linear layers are moved as they are.
-        samples: Of the shapes.
+        samples: Points and distances of the shapes.
         batch: Points of a step, spread evenly over all shapes.
-        generator: Of the first codes.
+        generator: Source of the first codes.
     """
 
     def __init__(self, decoder: DeepSdf | DualSdf, samples: Samples, batch: int, generator: torch.Generator) -> None:
@@ -48,20 +48,24 @@ class AutoDecoder:
             _scatter_spheres(decoder, generator)
 
     def modules(self) -> dict[str, nn.Module]:
-        """What is trained, beside the codes."""
+        """Return the decoder by its name."""
         return {"decoder": self.decoder}
 
     def others(self) -> list[Tensor]:
-        """What is trained but no linear layer."""
+        """Return the codes."""
         return [self.codes]
 
     def loss(self, generator: torch.Generator) -> Tensor:
-        """Of a fresh batch."""
+        """Return the loss of a fresh batch."""
         points, distances = self.samples.draw(self._each, generator)
         return _loss(self.decoder, self.codes, points, distances, PULL)
 
+    def reported(self, loss: Tensor) -> float:
+        """Return the loss as it is."""
+        return float(loss)
+
     def latents(self) -> Float[Tensor, "s l"]:
-        """The codes of the training shapes."""
+        """Return the codes of the training shapes."""
         return self.codes.detach()
 
 
@@ -75,13 +79,13 @@ def find_codes(
     learning_rate: float = 0.1,
     seed: int = 0,
 ) -> Float[Tensor, "s l"]:
-    """Codes, of a spread of one, of shapes that the decoder has not seen: the same loss with the decoder held.
+    """Return codes, of a spread of one, of shapes that the decoder has not seen: by the same loss, the decoder fixed.
 
     Args:
-        samples: Of the shapes.
+        samples: Points and distances of the shapes.
         start: The code to begin from, such as the mean of the training codes.
-        steps, batch, learning_rate: Of Adam; batch is points of each shape.
-        seed: Of the batches.
+        steps, batch, learning_rate: Options of Adam; batch is points of each shape.
+        seed: Seed of the batches.
     """
     generator = torch.Generator().manual_seed(seed)
     codes = start.detach().repeat(len(samples.distances), 1).requires_grad_()

@@ -4,7 +4,7 @@
 
 The occupancy o_s falls from 1 to 0 over a ramp about the surface, where IM-NET's own jumps: between 0 and 1 the decoder
 is linear in its last layer, so that it learns a distance there, and the edits get a gradient to go by. Coordinates are
-halved on the way: IM-NET's cube is [-0.5, 0.5]^3, the families' [-1, 1]^3.
+halved for the network: IM-NET's cube is [-0.5, 0.5]^3, the families' [-1, 1]^3.
 Source: Chen and Zhang, "Learning implicit fields for generative shape modeling", CVPR 2019, section 3.
 """
 
@@ -24,7 +24,7 @@ POINTS_A_SHAPE = 256
 
 
 def voxels(family: Family, parameters: Float[Tensor, "s p"], resolution: int) -> Float[Tensor, "s 1 r r r"]:
-    """How much of each cell of [-1, 1]^3 is inside each shape, from 0 to 1.
+    """Return the part of each cell of [-1, 1]^3 that is inside each shape, from 0 to 1.
 
     A yes or no would hide where in a cell a face lies, with 32^3 cells a fifth of what a leg is thick: so trained, the
     encoder brought chairs that it had not learned back with an IoU of 0.76.
@@ -41,7 +41,7 @@ class AutoEncoder:
 
     Args:
         decoder, encoder: To be trained.
-        samples: Of the shapes.
+        samples: Points and distances of the shapes.
         grids: Their voxels.
         batch: Points of a step, of a few shapes chosen at random.
     """
@@ -58,15 +58,15 @@ class AutoEncoder:
         self._shapes = max(1, batch // POINTS_A_SHAPE)
 
     def modules(self) -> dict[str, nn.Module]:
-        """What is trained."""
+        """Return the decoder and the encoder by their names."""
         return {"decoder": self.decoder, "encoder": self.encoder}
 
     def others(self) -> list[Tensor]:
-        """What is trained but no linear layer."""
+        """Return the parameters of the encoder."""
         return list(self.encoder.parameters())
 
     def loss(self, generator: torch.Generator) -> Tensor:
-        """Of a fresh batch."""
+        """Return the loss of a fresh batch."""
         chosen = torch.randperm(len(self.grids), generator=generator)[: self._shapes].to(self.grids.device)
         some = Samples(self.samples.points[chosen], self.samples.distances[chosen])
         points, distances = some.draw(POINTS_A_SHAPE, generator)
@@ -74,13 +74,17 @@ class AutoEncoder:
         values = self.decoder(SCALE * points.flatten(0, 1), codes)
         return (values - (0.5 - distances.flatten() / RAMP).clamp(0, 1)).square().mean()
 
+    def reported(self, loss: Tensor) -> float:
+        """Return the loss as it is."""
+        return float(loss)
+
     def latents(self) -> Float[Tensor, "s l"]:
-        """The codes of the training shapes."""
+        """Return the codes of the training shapes."""
         return encode(self.encoder, self.grids)
 
 
 @torch.no_grad()
 def encode(encoder: ImNetEncoder, grids: Float[Tensor, "s 1 r r r"]) -> Float[Tensor, "s l"]:
-    """Codes of shapes given by their voxels."""
+    """Return the codes of shapes given by their voxels."""
     dtype = next(encoder.parameters()).dtype
     return torch.cat([encoder(part.to(dtype)) for part in grids.split(32)])

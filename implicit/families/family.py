@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from implicit.arguments import counted
 from implicit.field.field import Field
 
 Shape = Callable[[Mapping[str, Tensor], Tensor, Tensor, Tensor], Tensor]
@@ -19,7 +20,7 @@ class Family:
     """Shapes within [-0.9, 0.9]^3, symmetric about the plane x = 0, y up.
 
     Attributes:
-        name: Such as "chairs".
+        name: Name, such as "chairs".
         ranges: The parameters by name, in the order of a table's columns, and from where to where they are drawn.
         shape: Parameters by name and coordinates to signed distances; all broadcast against each other.
     """
@@ -28,19 +29,22 @@ class Family:
     ranges: Mapping[str, tuple[float, float]]
     shape: Shape
 
+    def __repr__(self) -> str:
+        return f"Family: {self.name}, {counted(len(self.ranges), 'parameter')} ({', '.join(self.ranges)})"
+
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Their names."""
+        """Names of the parameters."""
         return tuple(self.ranges)
 
     def draw(self, count: int, seed: int = 0) -> Float[Tensor, "s p"]:
-        """Parameters of so many shapes, spread evenly over the ranges (a scrambled Sobol sequence), float64."""
+        """Return parameters of so many shapes, spread evenly over the ranges (a scrambled Sobol sequence), float64."""
         engine = torch.quasirandom.SobolEngine(len(self.ranges), scramble=True, seed=seed)
         lower, upper = torch.tensor(list(self.ranges.values()), dtype=torch.float64).T
         return lower + engine.draw(count, dtype=torch.float64) * (upper - lower)
 
     def distance(self, parameters: Float[Tensor, "*s p"], points: Float[Tensor, "*s n 3"]) -> Float[Tensor, "*s n"]:
-        """Signed distances of points to one shape, or of each shape's points to it; negative inside."""
+        """Return signed distances of points to one shape, or of each shape's points to it; negative inside."""
         if parameters.shape[-1] != len(self.ranges):
             raise ValueError(
                 f"{self.name} have {len(self.ranges)} parameters ({', '.join(self.ranges)}), but got "
@@ -50,7 +54,7 @@ class Family:
         return self.shape(named, points[..., 0], points[..., 1], points[..., 2])
 
     def field(self, parameters: Float[Tensor, " p"]) -> Field:
-        """One shape as a field whose theta are the parameters."""
+        """Return one shape as a field whose theta are the parameters."""
         from implicit.field.decoder import decoder_field
 
         return decoder_field(lambda points, theta: self.distance(theta, points), parameters)
@@ -63,16 +67,16 @@ class Family:
         *,
         resolution: int = 24,
     ) -> tuple[Float[Tensor, " p"], float]:
-        """The member nearest to a shape: what the parameters of an edited one have become.
+        """Return the member nearest to a shape: the parameters that an edited one has come to.
 
         First the smoothed insides are matched on a grid, from coarse to fine, so that a part that is too long is seen
         all along; then the distances of surface points are made small. Both by Levenberg and Marquardt's method.
 
         Args:
-            inside: Points to whether they lie inside the shape, in the family's coordinates.
+            inside: From points (N, 3) to True where they lie inside the shape (N,), in the family's coordinates.
             surface: Points all over its surface, such as the vertices of an extracted mesh.
             start: Parameters to begin from.
-            resolution: Of the grid over [-1, 1]^3.
+            resolution: Cells along each side of the grid over [-1, 1]^3.
 
         Returns:
             The parameters, float64, and the root-mean-square distance of the surface points to that member, a length.

@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from implicit.arguments import counted, kind_of
 from implicit.families.airplanes import AIRPLANES
 from implicit.families.chairs import CHAIRS
 from implicit.families.family import Family
@@ -27,10 +28,10 @@ FORMAT = "implicit-family-1"
 
 @dataclass(frozen=True, eq=False)
 class FamilyModel:
-    """What was learned of a family.
+    """A trained generative model of a family.
 
     Attributes:
-        family: Of the shapes.
+        family: The family of the shapes.
         decoder: Code and point to value, by its published architecture.
         latents: A code for each training shape.
         parameters: The exact parameters of each training shape.
@@ -45,17 +46,26 @@ class FamilyModel:
     encoder: ImNetEncoder | None = None
     report: dict[str, Any] = default(default_factory=dict)
 
+    def __repr__(self) -> str:
+        codes, numbers = self.latents.shape
+        score = self.report.get("validation", {}).get("mean_iou")
+        return (
+            f"FamilyModel: {self.family.name} by {type(self.decoder).__name__}, {counted(codes, 'code')} of "
+            f"{counted(numbers, 'number')} ({kind_of(self.latents)})"
+            + ("" if score is None else f", mean IoU {score:.3g} on shapes it has not seen")
+        )
+
     @property
     def scale(self) -> float:
         """The decoder's coordinates over the family's: 1/2 for IM-NET, whose cube is [-0.5, 0.5]^3, else 1."""
         return float(self.decoder.bounds[1][0])
 
     def field(self, code: Float[Tensor, " l"]) -> Field:
-        """The shape of a code, its units those of the family."""
+        """Return the shape of a code (L,) as a field, its units those of the family."""
         return decoder_field(self.decoder, code, units=Units(1 / self.scale))
 
     def nearest(self, parameters: Float[Tensor, " p"]) -> int:
-        """The training shape whose parameters, each relative to its range, are nearest."""
+        """Return the index of the training shape whose parameters, each relative to its range, are nearest."""
         lower, upper = self.parameters.new_tensor(list(self.family.ranges.values())).T
         return int(((self.parameters - parameters.to(lower)) / (upper - lower)).square().sum(dim=1).argmin())
 
@@ -64,7 +74,9 @@ def save_model(model: FamilyModel, path: str | PathLike[str], *, dtype: torch.dt
     """Write a model as safetensors; its decoder and codes can be read by `load_checkpoint` too.
 
     Args:
-        dtype: Of the weights and codes in the file. float16 halves it, and moves surfaces by some 1e-4.
+        model: The model.
+        path: The file; one that is there is replaced.
+        dtype: Precision of the weights and codes in the file. float16 halves it, and moves surfaces by some 1e-4.
     """
     from safetensors.torch import save
 

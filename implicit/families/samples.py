@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from implicit.arguments import counted, kind_of
 from implicit.families.family import Family
 
 # Standard deviations of the points about the surface, in the family's units: a third each, with a third in the whole
@@ -17,31 +18,35 @@ SPREADS = (0.005, 0.03)
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """For each shape of a table of parameters, points and distances."""
+    """Points and their signed distances, for each shape of a table of parameters."""
 
     points: Float[Tensor, "s n 3"]
     distances: Float[Tensor, "s n"]
 
+    def __repr__(self) -> str:
+        shapes, points = self.distances.shape
+        return f"Samples: {counted(points, 'point')} for each of {counted(shapes, 'shape')} ({kind_of(self.points)})"
+
     def draw(self, count: int, generator: torch.Generator) -> tuple[Float[Tensor, "s k 3"], Float[Tensor, "s k"]]:
-        """So many of each shape's points at random, with repetition."""
+        """Return so many of each shape's points at random, with repetition."""
         shapes, n = self.distances.shape
         pick = torch.randint(n, (shapes, count), generator=generator).to(self.points.device)
         row = torch.arange(shapes, device=self.points.device)[:, None]
         return self.points[row, pick], self.distances[row, pick]
 
     def to(self, device: torch.device | str) -> Samples:
-        """The same elsewhere."""
+        """Return the same samples on another device."""
         return Samples(self.points.to(device), self.distances.to(device))
 
 
 def draw_samples(family: Family, parameters: Float[Tensor, "s p"], count: int, seed: int = 0) -> Samples:
-    """Points about each shape's surface and in all of [-1, 1]^3, with their distances, float32.
+    """Return points about each shape's surface and in all of [-1, 1]^3, with their distances, float32.
 
     Args:
-        family: Whose shapes.
-        parameters: A row a shape.
+        family: The family of the shapes.
+        parameters: Row for each shape.
         count: Points of each shape.
-        seed: Of the points.
+        seed: Seed of the points.
     """
     generator = torch.Generator().manual_seed(seed)
     points, distances = [], []
@@ -60,7 +65,7 @@ def draw_samples(family: Family, parameters: Float[Tensor, "s p"], count: int, s
 
 
 def _on_surface(family: Family, parameters: Tensor, points: Tensor) -> Tensor:
-    """Points moved along the gradient of the distance by the distance; a few times, for where two parts meet."""
+    """Return points moved along the gradient of the distance by the distance; a few times, for where two parts meet."""
     for _ in range(3):
         x = points.detach().requires_grad_()
         distance = family.distance(parameters, x)

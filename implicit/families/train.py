@@ -15,13 +15,14 @@ from implicit.families.autoencoder import AutoEncoder, encode, voxels
 from implicit.families.family import Family
 from implicit.families.model import FAMILIES, FamilyModel
 from implicit.families.samples import draw_samples
-from implicit.families.training import Learner, Schedule, Tell, TrainingRun
+from implicit.fitting.training import Checkpoint, FitStatus, Schedule, Tell, TrainingRun
 from implicit.models.checkpoints import Architecture
 from implicit.models.deepsdf import DeepSdf
 from implicit.models.dualsdf import DualSdf
 from implicit.models.imnet import ImNet, ImNetEncoder
 from implicit.models.weight_norm import with_weight_norm
 
+FORMAT = "implicit-family-training-1"
 SAMPLES = 8000  # of each training shape
 VALIDATION_SEED = 1_000_003  # of the shapes that are scored, far from the seeds that users give
 SPHERES = 48
@@ -51,11 +52,11 @@ def train_family(
         shapes: Shapes to learn.
         latent: Numbers in a code.
         width: Units in the hidden layers; of IM-NET, in its widest.
-        steps: Of the training.
+        steps: Steps of the training.
         batch: Points a step.
         validation: Further shapes, whose reconstruction is scored.
-        seed: Of the shapes, the samples, the first weights and the batches. The same seed gives the same bits on the
-            same machine with the same number of threads.
+        seed: Seed of the shapes, the samples, the first weights and the batches. The same seed gives the same bits on
+            the same machine with the same number of threads.
         device: Where to train; the model comes back on the CPU.
         checkpoint: A file to keep the state in; if it is there already, the training goes on from it.
         progress: Called as progress(step, steps, loss) up to 100 times.
@@ -77,8 +78,13 @@ def train_family(
     learner = _learner(kind, architecture, parameters, latent, width, batch, seed, device, generator)
     schedule = _schedule(architecture, steps)
     settings = json.dumps([family, architecture, shapes, latent, width, steps, batch, seed, str(device)])
-    run = TrainingRun(learner, generator, schedule, None if checkpoint is None else Path(checkpoint), settings)
-    run.train(progress)
+    file = None if checkpoint is None else Checkpoint(Path(checkpoint), FORMAT, settings)
+    run = TrainingRun(learner, generator, schedule, file)
+    if run.train(progress) is FitStatus.DIVERGED:
+        raise FloatingPointError(
+            f"The loss or a weight is not finite at step {run.step}. Train again with another seed, "
+            "and to a checkpoint of its own."
+        )
     model = _model(kind, learner, parameters)
     scores = reconstruction_scores(model, kind.draw(validation, VALIDATION_SEED))
     model.report.update(
@@ -99,14 +105,15 @@ def train_family(
 def reconstruction_scores(
     model: FamilyModel, parameters: Float[Tensor, "s p"], *, resolution: int = 64, seed: int = 0
 ) -> Float[Tensor, " s"]:
-    """Intersection over union of each shape with what the model makes of it, on the cells of [-1, 1]^3.
+    """Return the intersection over union of each shape with what the model makes of it, on the cells of [-1, 1]^3.
 
     An auto-decoder finds the code of a shape from 4000 distances, an auto-encoder from its voxels.
 
     Args:
-        parameters: Of the shapes.
+        model: The model.
+        parameters: Parameters of the shapes, a row each.
         resolution: Cells along the cube.
-        seed: Of the distances.
+        seed: Seed of the points whose distances are given.
     """
     codes = reconstruct(model, parameters, seed=seed)
     inside = voxels(model.family, parameters, resolution).flatten(1) > 0.5
@@ -120,7 +127,7 @@ def reconstruction_scores(
 
 
 def reconstruct(model: FamilyModel, parameters: Float[Tensor, "s p"], *, seed: int = 0) -> Float[Tensor, "s l"]:
-    """Codes of shapes that the model need not have learned."""
+    """Return codes (S, L) of shapes that the model need not have learned."""
     if model.encoder is not None:
         return encode(model.encoder, voxels(model.family, parameters, model.encoder.resolution))
     assert not isinstance(model.decoder, ImNet)
@@ -129,7 +136,7 @@ def reconstruct(model: FamilyModel, parameters: Float[Tensor, "s p"], *, seed: i
 
 
 def summary(scores: Float[Tensor, " s"]) -> dict[str, float]:
-    """Of reconstruction scores: how many, their mean and the least."""
+    """Return the number of reconstruction scores, their mean and the least."""
     return {
         "shapes": len(scores),
         "mean_iou": round(float(scores.mean()), 4),
@@ -147,7 +154,7 @@ def _learner(
     seed: int,
     device: torch.device | str,
     generator: torch.Generator,
-) -> Learner:
+) -> AutoEncoder | AutoDecoder:
     samples = draw_samples(family, parameters, SAMPLES, seed).to(device)
     with torch.random.fork_rng(devices=[]):  # torch's layers draw their first weights from the global generator
         torch.manual_seed(seed)
@@ -170,8 +177,8 @@ def _schedule(architecture: str, steps: int) -> Schedule:
     return Schedule(steps, 3e-3, 1e-3 if architecture == "imnet" else 1e-2)
 
 
-def _model(family: Family, learner: Learner, parameters: Tensor) -> FamilyModel:
-    """The trained networks as they are published: under weight norm where that is part of the architecture."""
+def _model(family: Family, learner: AutoEncoder | AutoDecoder, parameters: Tensor) -> FamilyModel:
+    """Return the trained networks as they are published: under weight norm where that is part of the architecture."""
     modules = learner.modules()
     trained = modules["decoder"].cpu()
     encoder = modules.get("encoder")

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from implicit.arguments import require_callable
-from implicit.field.evaluator import OfDecoder, Parameter, frozen_copy
+from implicit.field.evaluator import parametrised_by_code
 from implicit.field.field import CUBE, Bounds, Field, Units
 
 
@@ -24,7 +24,7 @@ def decoder_field(
     units: Units | None = None,
     weights: Iterable[str] | None = None,
 ) -> Field:
-    """A field whose parameters are the latent code of a generative model; the decoder itself stays as it is.
+    """Return a field whose parameters are the latent code of a generative model; the decoder itself stays as it is.
 
     Args:
         decoder: Maps points (N, D) and one code (L,) to values (N,) or (N, 1).
@@ -34,6 +34,10 @@ def decoder_field(
         units: As for Field.
         weights: Names or patterns of the decoder's own parameters to edit together with the code; None edits the code
             alone.
+
+    Raises:
+        TypeError: The decoder cannot be called, the code is no floating tensor, or weights are asked of no module.
+        ValueError: The code is not one row of finite numbers, or no weight fits the patterns.
     """
     require_callable("decoder", decoder, "a function or module of points (N, D) and a code (L,)")
     if not isinstance(latent, Tensor) or not latent.is_floating_point():
@@ -53,16 +57,8 @@ def decoder_field(
         chosen = ["latent", *(f"decoder.{pattern}" for pattern in patterns)]
         both = _WithCode(decoder, latent)
         return Field(both, parameters=chosen, level=level, inside=side, bounds=bounds, units=units)
-
-    def store(theta: Tensor) -> None:
-        with torch.no_grad():
-            latent.copy_(theta)
-
-    field = Field.__new__(Field)
-    layout = (Parameter("latent", latent.shape, slice(0, latent.numel())),)
-    evaluator = OfDecoder(frozen_copy(decoder) if isinstance(decoder, nn.Module) else decoder)
-    field._set_up(evaluator, store, latent.detach(), layout, level, side, bounds, units)
-    return field
+    source = parametrised_by_code(decoder, latent)
+    return Field(source, level=level, inside=side, bounds=bounds, units=units)
 
 
 class _WithCode(nn.Module):

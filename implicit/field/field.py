@@ -7,17 +7,17 @@ normals point out; kappa = div n is the sum of the principal curvatures (+2/r on
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
+from html import escape
 from typing import Literal
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from implicit.arguments import require_choice, require_finite, require_numbers, require_positive
-from implicit.field.evaluator import Evaluator, OfModule, Parameter, frozen_copy
+from implicit.arguments import kind_of, require_choice, require_finite, require_numbers, require_positive
+from implicit.field.evaluator import Parameter, Parametrisation, parametrised
 
 Bounds = tuple[Sequence[float], Sequence[float]]
 CUBE: Bounds = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
@@ -29,7 +29,12 @@ CHUNK = 32768
 
 @dataclass(frozen=True)
 class Units:
-    """The way from the field's own coordinates x to the user's: scale * x + offset."""
+    """Change from the field's own coordinates x to the user's: scale * x + offset.
+
+    Attributes:
+        scale: User's lengths in a length of the field, positive.
+        offset: Place of the field's origin in the user's coordinates, (D,).
+    """
 
     scale: float = 1.0
     offset: tuple[float, ...] = (0.0, 0.0, 0.0)
@@ -40,11 +45,11 @@ class Units:
             raise ValueError(f"offset of Units must be a number for each coordinate, but is {self.offset!r}.")
 
     def to_user(self, points: Tensor) -> Tensor:
-        """Points (..., D) of the field in the user's units."""
+        """Return points (..., D) of the field in the user's units."""
         return points * self.scale + torch.as_tensor(self.offset, dtype=points.dtype, device=points.device)
 
     def to_field(self, points: Tensor) -> Tensor:
-        """Points (..., D) of the user in the field's units."""
+        """Return points (..., D) of the user in the field's units."""
         return (points - torch.as_tensor(self.offset, dtype=points.dtype, device=points.device)) / self.scale
 
 
@@ -59,10 +64,11 @@ class Field:
     disturbs the caller's module until `write_back` stores the edited parameters in it.
 
     Args:
-        module: Any differentiable module from points (N, D) to values (N,) or (N, 1), each point by itself.
+        module: Any differentiable module from points (N, D) to values (N,) or (N, 1), each point by itself. Of a
+            decoder with a code make a field by decoder_field, which gives a Parametrisation here.
         parameters: Names or shell-style patterns of the parameters to edit; None edits all of them.
         level: The value of the module on the surface, e.g. 0.5 for an occupancy.
-        inside: Whether the module is below the level inside ("negative") or above it ("positive").
+        inside: "negative" where the module is below the level inside, "positive" where it is above it.
         bounds: Lower and upper corner of a box that holds the surface; its length gives the dimension D.
         units: How the field's coordinates relate to the user's.
 
@@ -73,7 +79,7 @@ class Field:
 
     def __init__(
         self,
-        module: nn.Module,
+        module: nn.Module | Parametrisation,
         *,
         parameters: Iterable[str] | None = None,
         level: float = 0.0,
@@ -81,34 +87,8 @@ class Field:
         bounds: Bounds = CUBE,
         units: Units | None = None,
     ) -> None:
-        if not isinstance(module, nn.Module):
-            raise TypeError(
-                f"module must be a torch module, but is a {type(module).__name__}. Wrap a function in one, or give "
-                "decoder_field a function of points and a code."
-            )
-        blocks = _selected(module, parameters)
-        theta = torch.cat([block.detach().reshape(-1) for block in blocks.values()])
-        layout = _layout({name: block.shape for name, block in blocks.items()})
-
-        def store(theta: Tensor) -> None:
-            with torch.no_grad():
-                for block in layout:
-                    blocks[block.name].copy_(theta[block.where].view(block.shape))
-
-        self._set_up(OfModule(frozen_copy(module), layout), store, theta, layout, level, inside, bounds, units)
-
-    def _set_up(
-        self,
-        evaluator: Evaluator,
-        store: Callable[[Tensor], None],
-        theta: Tensor,
-        layout: tuple[Parameter, ...],
-        level: float,
-        inside: str,
-        bounds: Bounds,
-        units: Units | None,
-    ) -> None:
-        """Set what a field is, whatever it is made of: here a module, in implicit.field.decoder a code."""
+        source = module if isinstance(module, Parametrisation) else parametrised(module, parameters)
+        theta = source.theta
         require_choice("inside", inside, ("negative", "positive"))
         require_finite("level", level)
         if not torch.isfinite(theta).all():
@@ -129,15 +109,15 @@ class Field:
         self.level = float(level)
         self.inside = inside
         self.bounds: Float[Tensor, "2 d"] = box
-        self.layout = layout
+        self.layout: tuple[Parameter, ...] = source.layout
         self.units = units if units is not None else Units(1.0, (0.0,) * self.dimension)
         self.sign: float = 1.0 if inside == "negative" else -1.0
-        self._evaluator = evaluator
-        self._store = store
+        self._evaluator = source.evaluator
+        self._store = source.store
         self._check_shape_of_values()
 
     def _check_shape_of_values(self) -> None:
-        """One evaluation of three points, so that a foreign module is refused here and not in a long run."""
+        """Evaluate three points, so that a foreign module is refused here and not in a long run."""
         probe = self.bounds.mean(dim=0) + torch.zeros(3, self.dimension, dtype=self.dtype, device=self.device)
         with torch.no_grad():
             try:
@@ -151,16 +131,46 @@ class Field:
             came = f"{tuple(values.shape)}, {values.dtype}" if isinstance(values, Tensor) else type(values).__name__
             raise TypeError(f"The module must map 3 points to 3 real values, but gave {came}. Wrap it so that it does.")
 
+    def __repr__(self) -> str:
+        named = ("inside", "bounds", "units")
+        return "Field: " + "; ".join(f"{name} {text}" if name in named else text for name, text in self._facts())
+
+    def _repr_html_(self) -> str:
+        """Return a small table for notebooks."""
+        rows = "".join(f"<tr><th>{name}</th><td>{escape(text)}</td></tr>" for name, text in self._facts())
+        return f"<table><caption>Field</caption>{rows}</table>"
+
+    def _facts(self) -> list[tuple[str, str]]:
+        """Return what a reader asks first of a field: a name and a text for each row of the table."""
+        function = "a function" if self.module is None else type(self.module).__name__
+        scale, offset = self.units.scale, [round(x, 6) for x in self.units.offset]
+        corners = " to ".join(str([round(x, 6) for x in corner]) for corner in self.bounds.tolist())
+        facts = [
+            ("function", f"{function} of {self.dimension} coordinates"),
+            ("theta", f"P = {len(self.theta):,} {'(a code)' if self.takes_code else ''}".rstrip()),
+            ("numbers", kind_of(self.theta)),
+            ("inside", f"{'below' if self.inside == 'negative' else 'above'} level {self.level:g}"),
+            ("bounds", corners),
+        ]
+        if scale != 1 or any(offset):
+            facts.append(("units", f"{scale:.6g} x + {offset}"))
+        return facts
+
     # What it is
 
     @property
     def module(self) -> nn.Module | None:
-        """What is evaluated, frozen; its own parameters stay as they were. None for a function that is no module."""
+        """The module that is evaluated, frozen, its own parameters as they were; None for a function that is none."""
         return self._evaluator.module
 
     @property
+    def takes_code(self) -> bool:
+        """True where theta is the latent code of a decoder, False where it holds parameters of a module."""
+        return self._evaluator.takes_code
+
+    @property
     def dimension(self) -> int:
-        """D, 2 or 3."""
+        """Number of coordinates D, 2 or 3."""
         return self.bounds.shape[1]
 
     @property
@@ -170,7 +180,7 @@ class Field:
 
     @property
     def device(self) -> torch.device:
-        """Where theta lives."""
+        """Device of theta, and of everything computed from it."""
         return self.theta.device
 
     @property
@@ -181,22 +191,30 @@ class Field:
     # The function
 
     def function(self, theta: Float[Tensor, " p"], points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
-        """f(points; theta), differentiable in both arguments and usable under torch.func transforms."""
+        """Return f(points; theta), differentiable in both arguments and usable under torch.func transforms."""
         return (self._evaluator(theta, points).reshape(points.shape[0]) - self.level) * self.sign
 
     def value(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
-        """f at the points, in chunks and without a graph; negative inside."""
+        """Return f at the points, in chunks and without a graph; negative inside."""
         points = self.require_points(points)
         with torch.no_grad():
             return torch.cat([self.function(self.theta, part) for part in _chunks(points)])
 
     def gradient(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
-        """df/dx at the points."""
+        """Return df/dx at the points."""
         return self.value_and_gradient(points)[1]
 
-    def value_and_gradient(self, points: Float[Tensor, "n d"]) -> tuple[Float[Tensor, " n"], Float[Tensor, "n d"]]:
-        """f and df/dx at the points, in one pass."""
-        points = self.require_points(points)
+    def value_and_gradient(
+        self, points: Float[Tensor, "n d"], *, validate: bool = True
+    ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n d"]]:
+        """Return f and df/dx at the points, in one pass.
+
+        Args:
+            points: Points (N, D).
+            validate: False leaves out the check of the points, for a loop that has checked them before it began.
+        """
+        if validate:
+            points = self.require_points(points)
         values, gradients = [], []
         with torch.enable_grad():
             for part in _chunks(points):
@@ -208,11 +226,11 @@ class Field:
         return torch.cat(values), torch.cat(gradients)
 
     def hessian(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n d d"]:
-        """d2f/dx2 at the points, symmetric."""
+        """Return d2f/dx2 at the points, symmetric."""
         return self.gradient_and_hessian(points)[1]
 
     def gradient_and_hessian(self, points: Float[Tensor, "n d"]) -> tuple[Float[Tensor, "n d"], Float[Tensor, "n d d"]]:
-        """df/dx and d2f/dx2 at the points, in one pass."""
+        """Return df/dx and d2f/dx2 at the points, in one pass."""
         points = self.require_points(points)
         gradients, hessians = [], []
         with torch.enable_grad():
@@ -231,7 +249,7 @@ class Field:
         return torch.cat(gradients), torch.cat(hessians)
 
     def normal(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
-        """Outward unit normals df/dx / |df/dx|.
+        """Return the outward unit normals df/dx / |df/dx|.
 
         Raises:
             ValueError: The gradient vanishes at a point.
@@ -240,14 +258,14 @@ class Field:
         return gradients / self.gradient_length(gradients)[:, None]
 
     def mean_curvature(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
-        """kappa = div n, the sum of the principal curvatures of the level set through each point."""
+        """Return kappa = div n, the sum of the principal curvatures of the level set through each point."""
         gradients, hessians = self.gradient_and_hessian(points)
         length = self.gradient_length(gradients)
         n = gradients / length[:, None]
         return (hessians.diagonal(dim1=1, dim2=2).sum(1) - torch.einsum("ni,nij,nj->n", n, hessians, n)) / length
 
     def gradient_length(self, gradients: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
-        """|df/dx|, refused where it vanishes: there the surface has no normal and its motion no meaning."""
+        """Return |df/dx|, refused where it vanishes: there the surface has no normal and its motion no meaning."""
         length = gradients.norm(dim=1)
         bad = ~(length > 1e-7 * length.median())
         if bool(bad.any()):
@@ -261,7 +279,7 @@ class Field:
     # Other parameters
 
     def with_theta(self, theta: Float[Tensor, " p"]) -> Field:
-        """The same field at other parameters; the two share the module, not the parameters."""
+        """Return the same field at other parameters; the two share the module, not the parameters."""
         if not isinstance(theta, Tensor) or theta.shape != self.theta.shape or theta.is_meta:
             came = f"{tuple(theta.shape)} on {theta.device}" if isinstance(theta, Tensor) else type(theta).__name__
             raise ValueError(f"theta must be a tensor of shape {tuple(self.theta.shape)}, but is {came}.")
@@ -270,7 +288,7 @@ class Field:
         return other
 
     def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> Field:
-        """The same field in another precision or on another device; `write_back` still reaches the original."""
+        """Return the same field in another precision or on another device; `write_back` still reaches the original."""
         if dtype is not None and not (isinstance(dtype, torch.dtype) and dtype.is_floating_point):
             raise TypeError(f"dtype must be a floating one such as torch.float64, but is {dtype!r}.")
         try:
@@ -290,7 +308,7 @@ class Field:
         self._store(self.theta)
 
     def require_points(self, points: Tensor, name: str = "points") -> Tensor:
-        """The points as given, or a clear refusal: shape (N, D), finite, in the field's dtype and device."""
+        """Return the points as given, or refuse them: shape (N, D), finite, in the field's dtype and device."""
         if not isinstance(points, Tensor):
             raise TypeError(
                 f"{name} must be a torch tensor of shape (N, {self.dimension}), but is a {type(points).__name__}. "
@@ -309,18 +327,14 @@ class Field:
         return points
 
     def in_precision(self, points: Tensor) -> Tensor:
-        """Real points in the field's precision; anything else as it is, for require_points to refuse."""
+        """Return real points in the field's precision; anything else as it is, for require_points to refuse."""
         if isinstance(points, Tensor) and points.is_floating_point():
             return points.to(self.dtype)
         return points
 
-    def require_finite(self, theta: Tensor) -> bool:
-        """Whether parameters may be taken: a step to NaN or infinity is never made."""
-        return bool(torch.isfinite(theta).all())
-
 
 def require_field(field: Field) -> Field:
-    """The field as given, or a clear refusal of what is none."""
+    """Return the field as given, or refuse what is none."""
     if not isinstance(field, Field):
         raise TypeError(
             f"field must be a Field, but is a {type(field).__name__}. Make one of a torch module by Field(module), of "
@@ -329,42 +343,6 @@ def require_field(field: Field) -> Field:
     return field
 
 
-def _selected(module: nn.Module, patterns: Iterable[str] | None) -> dict[str, nn.Parameter]:
-    """The parameters to edit, by name, all of one floating dtype on one device."""
-    named = dict(module.named_parameters())
-    if patterns is not None:
-        if not isinstance(patterns, Iterable):
-            raise TypeError(f"parameters must be names or patterns of names, but are {patterns!r}.")
-        patterns = [patterns] if isinstance(patterns, str) else [str(pattern) for pattern in patterns]
-        for pattern in patterns:
-            if not any(fnmatchcase(name, pattern) for name in named):
-                raise ValueError(
-                    f"parameters must be names or patterns of the module's own, but {pattern!r} matches none of "
-                    f"{', '.join(named) or 'none'}."
-                )
-        named = {name: p for name, p in named.items() if any(fnmatchcase(name, pattern) for pattern in patterns)}
-    if not named:
-        raise ValueError("The module must have parameters to edit, but has none. For a latent code use decoder_field.")
-    kinds = {(p.dtype, p.device) for p in named.values()}
-    if len(kinds) > 1 or not next(iter(kinds))[0].is_floating_point:
-        raise ValueError(
-            f"The parameters must share one floating dtype and device, but have {sorted(map(str, kinds))}."
-        )
-    if next(iter(kinds))[1].type == "meta":
-        raise ValueError(
-            "The parameters must hold numbers, but are on the meta device. Load the module to the CPU or a GPU."
-        )
-    return named
-
-
-def _layout(shapes: dict[str, torch.Size]) -> tuple[Parameter, ...]:
-    blocks, start = [], 0
-    for name, shape in shapes.items():
-        blocks.append(Parameter(name, shape, slice(start, start + shape.numel())))
-        start += shape.numel()
-    return tuple(blocks)
-
-
 def _chunks(points: Tensor) -> Iterator[Tensor]:
-    """Parts of at most CHUNK rows; one empty part for no rows, so that shapes survive."""
+    """Return parts of at most CHUNK rows; one empty part for no rows, so that shapes survive."""
     return iter(points.split(CHUNK)) if points.shape[0] else iter([points])

@@ -22,10 +22,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from enum import Enum
 from os import PathLike
 from pathlib import Path
 from time import perf_counter
@@ -35,40 +33,21 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from implicit.arguments import require_choice, require_numbers, require_positive, require_whole
+from implicit.arguments import counted, require_choice, require_numbers, require_positive, require_whole
 from implicit.field.field import CUBE, Bounds, Field, Units
-from implicit.files import as_path, read_state, write_state
-from implicit.fitting.soap import Soap
+from implicit.files import as_path
+from implicit.fitting.training import Checkpoint, FitStatus, Progress, Schedule, TrainingRun
 from implicit.models import Mlp, Siren
+
+FORMAT = "implicit-training-1"
 
 # Part of a batch that is drawn within the band and compared in its gradient too, which costs twice a value.
 NEAR_PART = 0.25
-WARM_UP = 50  # steps over which the learning rate rises
-LAST_RATE = 1e-3  # the learning rate falls to this part of itself along a cosine
-
-
-class FitStatus(Enum):
-    """How a training ended."""
-
-    DONE = "All steps were taken."
-    OUT_OF_TIME = "The time was over before the last step was taken. Allow more seconds."
-    DIVERGED = (
-        "The loss was no longer finite; the network is the last one that was. Lower the learning rate or frequencies."
-    )
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Where a training stood."""
-
-    step: int
-    seconds: float  # since the start; of an interrupted fit, those of the runs before count too
-    loss: float  # root of the loss, a length: the typical error near the surface
 
 
 @dataclass(frozen=True, eq=False)
 class Training:
-    """How a fit went."""
+    """Course and accuracy of a fit."""
 
     steps: int
     seconds: float
@@ -77,6 +56,13 @@ class Training:
     normal_error: float  # mean angle between df/dx and n over the same samples, in degrees
     band: float
     status: FitStatus
+
+    def __repr__(self) -> str:
+        return (
+            f"Training: {self.status.name} after {counted(self.steps, 'step')}, {self.seconds:.1f} s\n"
+            f"  mean |f - d| {self.value_error:.3g}, normals off by {self.normal_error:.3g} degrees, "
+            f"within the band of {self.band:.3g}"
+        )
 
 
 def fit_field(
@@ -115,9 +101,9 @@ def fit_field(
         width: Units in each hidden layer.
         depth: Hidden layers.
         activation: "sine" makes a Siren, "softplus" or "relu" an Mlp.
-        first_frequency: Of a Siren: about how many half waves cross the bounds in the first layer at the start. Siren
+        first_frequency: Half waves of a Siren that cross the bounds in the first layer at the start, about. Siren
             says how 12 was chosen; raise it for fine detail, and check that no stray pieces come.
-        frequency: Of a Siren: factor in the later layers.
+        frequency: Factor of a Siren in the later layers.
         steps: Steps to take. With the same seed, data and number of threads they give the same bits.
         seconds: Stop after this time even if steps are left; the schedule then follows the time where it is ahead, so
             the result depends on the speed of the machine.
@@ -127,15 +113,15 @@ def fit_field(
         band: Distance up to which gradients are compared and errors count fully, a length. None takes 1 % of the
             longest side of the bounds.
         bounds: A box that holds the surface; the default is [-1, 1]^D.
-        units: How the field's coordinates relate to the user's; kept in the field.
-        seed: Of the first weights and of the batches.
+        units: Change from the field's coordinates to the user's; kept in the field. None is no change.
+        seed: Seed of the first weights and of the batches.
         dtype: Precision of the network and the training.
         progress: Called as progress(step, steps, loss) up to 100 times.
         checkpoint: A file to write the state of the training to, twenty times on the way and at the end. If it is
             there already, the training goes on from it, and ends with the same bits as one that was never interrupted.
 
     Returns:
-        The field, and how the training went.
+        The field, and the course of the training.
 
     Raises:
         ValueError: The samples do not fit each other, are not finite, lie all on one side of the surface or all away
@@ -146,55 +132,44 @@ def fit_field(
     dimension = _check_samples(points, distances, normals)
     box = _check_bounds(bounds, dimension)
     options: dict[str, Any] = {
-        "width": width,
-        "depth": depth,
-        "activation": activation,
-        "first_frequency": first_frequency,
+        "steps": steps,
+        "seconds": seconds,
+        "batch": batch,
+        "method": method,
+        "learning_rate": learning_rate,
     }
-    options |= {"frequency": frequency, "steps": steps, "seconds": seconds, "batch": batch, "method": method}
-    options |= {"learning_rate": learning_rate, "band": band, "units": units, "seed": seed, "dtype": dtype}
-    require_training({**options, "checkpoint": checkpoint})
-    path = None if checkpoint is None else Path(checkpoint)
-    if learning_rate is None:
-        learning_rate = _LEARNING_RATES[method, activation]
+    options |= {"width": width, "depth": depth, "activation": activation}
+    options |= {"first_frequency": first_frequency, "frequency": frequency}
+    kept = {"band": band, "units": units, "seed": seed, "dtype": dtype, "checkpoint": checkpoint}
+    require_training({**options, **kept})
+    rate = _LEARNING_RATES[method, activation] if learning_rate is None else learning_rate
 
-    # The training happens in [-1, 1]^D, and the way there is folded into the first and last layer at the end.
+    # The training happens in [-1, 1]^D, and the map to it is folded into the first and last layer at the end.
     middle, half = box.mean(dim=0), float((box[1] - box[0]).max()) / 2
     band = 0.02 if band is None else band / half
     data = _Samples(
         ((points - middle.to(points)) / half).to(dtype), (distances / half).to(dtype), normals.to(dtype), band
     )
     generator = torch.Generator().manual_seed(seed)
-    module: Siren | Mlp
-    if activation == "sine":
-        module = Siren(
-            dimension, width, depth, first_frequency=first_frequency, frequency=frequency, generator=generator
-        )
-    else:
-        module = Mlp(dimension, width, depth, activation=activation, generator=generator)
+    module = _network(activation, first_frequency, frequency, (dimension, width, depth), generator)
     module.to(device=points.device, dtype=dtype)
-    optimiser = Soap([layer for layer in module.layers if isinstance(layer, nn.Linear)], rotate=method == "soap")
-    run = _Run(module, optimiser, generator, start, path)
-    if path is not None:
-        settings = [module.describe(), steps, batch, learning_rate, method, band, seed, str(dtype), data.fingerprint()]
-        run.fingerprint = hashlib.sha256(json.dumps(settings).encode()).hexdigest()
-        if path.exists():
-            run.load(path)
-    status = run.train(data, steps, seconds, batch, learning_rate, progress, half)
+    file = None
+    if checkpoint is not None:
+        settings = [module.describe(), steps, batch, rate, method, band, seed, str(dtype), data.fingerprint()]
+        fingerprint = hashlib.sha256(json.dumps(settings).encode()).hexdigest()
+        difference = "the samples, the network or the options differ"
+        file = Checkpoint(Path(checkpoint), FORMAT, fingerprint, "fit", "optimiser", "fit", difference)
+    learner = _Distance(module, data, batch, half)
+    run = TrainingRun(
+        learner, generator, Schedule(steps, rate, seconds=seconds), file, rotate=method == "soap", start=start
+    )
+    status = run.train(progress)
 
     value_error, normal_error = data.errors(module)
     _fold(module, middle, half)
     field = Field(module, bounds=(box[0].tolist(), box[1].tolist()), units=units)
-    training = Training(
-        steps=run.step,
-        seconds=run.seconds,
-        history=tuple(run.history),
-        value_error=value_error * half,
-        normal_error=normal_error,
-        band=band * half,
-        status=status,
-    )
-    return field, training
+    history = tuple(run.history)
+    return field, Training(run.step, run.seconds, history, value_error * half, normal_error, band * half, status)
 
 
 def require_training(options: Mapping[str, Any]) -> None:
@@ -233,6 +208,19 @@ _LEARNING_RATES = {
 }
 
 
+def _network(
+    activation: Literal["sine", "softplus", "relu"],
+    first_frequency: float,
+    frequency: float,
+    sizes: tuple[int, int, int],
+    generator: torch.Generator,
+) -> Siren | Mlp:
+    """Return a network of an activation, its sizes being the dimension, the width and the depth."""
+    if activation == "sine":
+        return Siren(*sizes, first_frequency=first_frequency, frequency=frequency, generator=generator)
+    return Mlp(*sizes, activation=activation, generator=generator)
+
+
 class _Samples:
     """The samples in [-1, 1]^D, and the loss of a batch of them."""
 
@@ -251,7 +239,7 @@ class _Samples:
         self.weights = band / (band + distances.abs())
 
     def loss(self, module: nn.Module, batch: int, generator: torch.Generator) -> Tensor:
-        """The loss of the head of this file, over a fresh batch."""
+        """Return the loss at the head of this file, over a fresh batch."""
         near = max(1, int(batch * NEAR_PART))
         i = torch.randint(len(self.points), (batch - near,), generator=generator).to(self.points.device)
         j = torch.randint(len(self.near_points), (near,), generator=generator).to(self.points.device)
@@ -263,109 +251,38 @@ class _Samples:
         return errors.square().mean() + self.band**2 * turns.mean()
 
     def errors(self, module: nn.Module) -> tuple[float, float]:
-        """Mean |f - d| and mean angle in degrees over the samples within the band."""
+        """Return the mean |f - d| and the mean angle in degrees over the samples within the band."""
         field = Field(module, bounds=_unit_box(self.points.shape[1]))
         values, gradients = field.value_and_gradient(self.near_points)
         cosine = nn.functional.cosine_similarity(gradients, self.near_normals, dim=1).clamp(-1, 1)
         return float((values - self.near_distances).abs().mean()), float(torch.rad2deg(cosine.acos()).mean())
 
     def fingerprint(self) -> str:
-        """What the samples are, in few letters."""
+        """Return a hash of the samples."""
         digest = hashlib.sha256()
         for part in (self.points, self.distances, self.near_normals):
             digest.update(part.detach().cpu().contiguous().numpy().tobytes())
         return digest.hexdigest()
 
 
-class _Run:
-    """All that a training carries from step to step, and its checkpoints."""
+class _Distance:
+    """A network that learns the samples' distance, its losses reported as lengths in the user's coordinates."""
 
-    def __init__(
-        self, module: nn.Module, optimiser: Soap, generator: torch.Generator, start: float, path: Path | None
-    ) -> None:
-        self.module, self.optimiser, self.generator = module, optimiser, generator
-        self.path = path
-        self.step = 0
-        self.history: list[Progress] = []
-        self.fingerprint = ""
-        self._start = start
+    def __init__(self, module: Siren | Mlp, samples: _Samples, batch: int, unit: float) -> None:
+        self._module, self._samples, self._batch, self._unit = module, samples, batch, unit
 
-    @property
-    def seconds(self) -> float:
-        """Since the start, with those of the interrupted runs before."""
-        return perf_counter() - self._start
+    def modules(self) -> dict[str, nn.Module]:
+        return {"module": self._module}
 
-    def train(
-        self,
-        data: _Samples,
-        steps: int,
-        seconds: float | None,
-        batch: int,
-        learning_rate: float,
-        progress: Callable[[int, int, float], None] | None,
-        unit: float,
-    ) -> FitStatus:
-        """Take the steps that are left; losses are told in lengths of `unit`."""
-        shown, kept = max(1, steps // 100), max(1, steps // 20)
-        last_good = self._weights()
-        while self.step < steps:
-            done = self.step / steps if seconds is None else max(self.step / steps, self.seconds / seconds)
-            if done >= 1:
-                self.save()
-                return FitStatus.OUT_OF_TIME
-            loss = data.loss(self.module, batch, self.generator)
-            self.module.zero_grad(set_to_none=True)
-            loss.backward()
-            rise, fall = min(1.0, (self.step + 1) / WARM_UP), (1 + math.cos(math.pi * done)) / 2
-            self.optimiser.step(learning_rate * rise * max(LAST_RATE, fall))
-            self.step += 1
-            if self.step % shown == 0 or self.step == steps:
-                size = float(loss.detach().sqrt()) * unit
-                if not math.isfinite(size) or not all(bool(torch.isfinite(p).all()) for p in self.module.parameters()):
-                    self.module.load_state_dict(last_good)
-                    return FitStatus.DIVERGED
-                last_good = self._weights()
-                self.history.append(Progress(self.step, self.seconds, size))
-                if progress is not None:
-                    progress(self.step, steps, size)
-            if self.step % kept == 0 or self.step == steps:
-                self.save()
-        return FitStatus.DONE
+    def others(self) -> list[Tensor]:
+        return []
 
-    def _weights(self) -> dict[str, Tensor]:
-        return {name: value.clone() for name, value in self.module.state_dict().items()}
+    def loss(self, generator: torch.Generator) -> Tensor:
+        return self._samples.loss(self._module, self._batch, generator)
 
-    def save(self) -> None:
-        """Write the checkpoint, if one was asked for."""
-        if self.path is None:
-            return
-        state = {f"module.{name}": value for name, value in self.module.state_dict().items()}
-        state |= {f"optimiser.{name}": value for name, value in self.optimiser.state.items()}
-        state["generator"] = self.generator.get_state()
-        header = {
-            "format": "implicit-training-1",
-            "fit": self.fingerprint,
-            "step": str(self.step),
-            "seconds": repr(self.seconds),
-        }
-        write_state(self.path, state, header)
-
-    def load(self, path: Path) -> None:
-        """Go on from a checkpoint."""
-        header, state = read_state(path)
-        if header.get("format") != "implicit-training-1" or header.get("fit") != self.fingerprint:
-            raise ValueError(
-                f"{path} belongs to another fit: the samples, the network or the options differ. Remove it to train "
-                "from the start, or give this fit a file of its own."
-            )
-        self.module.load_state_dict(
-            {name.removeprefix("module."): value for name, value in state.items() if name.startswith("module.")}
-        )
-        for name, value in self.optimiser.state.items():
-            value.copy_(state[f"optimiser.{name}"])
-        self.generator.set_state(state["generator"])
-        self.step = self.optimiser.steps = int(header["step"])
-        self._start -= float(header["seconds"])
+    def reported(self, loss: Tensor) -> float:
+        """Return the root of the loss, a length: the typical error near the surface."""
+        return float(loss.sqrt()) * self._unit
 
 
 def _check_samples(points: Tensor, distances: Tensor, normals: Tensor) -> int:

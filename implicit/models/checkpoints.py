@@ -55,11 +55,11 @@ def load_checkpoint(
     codes: str | PathLike[str] | None = None,
     dtype: torch.dtype = torch.float32,
 ) -> tuple[Decoder, Float[Tensor, "s l"]]:
-    """A decoder and the codes of its training shapes, out of a file.
+    """Return a decoder and the codes of its training shapes, out of a file.
 
     Args:
         path: A .safetensors, or what torch.save wrote.
-        architecture: Whose layout the file has.
+        architecture: Name of the architecture whose layout the file has.
         codes: Another file that holds the codes, as DeepSDF writes them; None takes those in the same file.
         dtype: Precision of what is returned.
 
@@ -95,7 +95,7 @@ def load_checkpoint(
 
 
 def read_tensors(path: str | PathLike[str]) -> dict[str, Any]:
-    """All that is in a file, with nothing executed: tensors, and dictionaries and plain values about them.
+    """Return all that is in a file, with nothing executed: tensors, dictionaries, and numbers and text about them.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -129,8 +129,8 @@ def read_tensors(path: str | PathLike[str]) -> dict[str, Any]:
 
 def fill(module: nn.Module, state: State, path: str | PathLike[str], layout: str) -> None:
     """Load tensors into a module after comparing each with what the module has there."""
-    wanted = module.state_dict()
-    for name, own in wanted.items():
+    expected = module.state_dict()
+    for name, own in expected.items():
         if name not in state:
             raise ValueError(f"{path} does not fit its architecture: {name} is missing. Wanted is {layout}.")
         if state[name].shape != own.shape:
@@ -141,13 +141,13 @@ def fill(module: nn.Module, state: State, path: str | PathLike[str], layout: str
         if not bool(torch.isfinite(state[name]).all()):
             raise ValueError(f"{path}: {name} holds NaN or infinite numbers. Fetch or train it again.")
     for name in state:
-        if name not in wanted and not name.startswith(_BESIDE):
+        if name not in expected and not name.startswith(_BESIDE):
             raise ValueError(f"{path} does not fit its architecture: {name} belongs to no layer. Wanted is {layout}.")
-    module.load_state_dict({name: state[name] for name in wanted})
+    module.load_state_dict({name: state[name] for name in expected})
 
 
 def _state_of(content: Mapping[str, Any], architecture: str, path: str | PathLike[str]) -> State:
-    """The decoder's tensors by the names of its layout, wherever in the file and after whatever prefix."""
+    """Return the decoder's tensors by the names of its layout, wherever in the file and after whatever prefix."""
     first = _FIRST[architecture]
     for part in _dictionaries(content):
         for name in part:
@@ -226,7 +226,7 @@ _BUILDERS: dict[str, Callable[[State], Decoder]] = {"imnet": _imnet, "dualsdf": 
 
 
 def _matrix(state: State, layer: str) -> tuple[int, int]:
-    """Units out of a layer and into it."""
+    """Return the number of units out of a layer and into it."""
     name = f"{layer}.weight" if f"{layer}.weight" in state else f"{layer}.weight_v"
     if state[name].ndim != 2:
         raise ValueError(f"{name} must be a matrix, but has shape {tuple(state[name].shape)}")
@@ -234,7 +234,7 @@ def _matrix(state: State, layer: str) -> tuple[int, int]:
 
 
 def _places(state: State, prefix: str) -> list[int]:
-    """Where in a Sequential the linear layers stand."""
+    """Return the places in a Sequential at which linear layers stand."""
     return sorted(
         int(name.removeprefix(prefix).removesuffix(".bias"))
         for name in state

@@ -21,15 +21,15 @@ from implicit.models.weight_norm import linear
 
 
 class DeepSdf(nn.Module):
-    """Points (N, 3) and one code (L,), or a code a point (N, L), to values (N,).
+    """Network from points (N, 3) and one code (L,), or a code a point (N, L), to values (N,).
 
     Args:
-        latent: L.
+        latent: Numbers in a code, L.
         width: Units in each hidden layer.
         depth: Hidden layers.
         skip: The layer that the input is given to again.
-        weight_norm: Whether all layers but the last are under weight norm.
-        tanh: How often tanh is applied to the output; some published models do it twice.
+        weight_norm: True puts all layers but the last under weight norm.
+        tanh: Times that tanh is applied to the output; some published models do it twice.
     """
 
     level = 0.0
@@ -67,7 +67,7 @@ class DeepSdf(nn.Module):
             self.add_module(f"lin{k}", linear(inputs, outputs, normed=weight_norm and k < depth))
 
     def forward(self, points: Float[Tensor, "n 3"], latent: Float[Tensor, "*n l"]) -> Float[Tensor, " n"]:
-        """Values at the points."""
+        """Return the values at the points."""
         start = torch.cat([latent.expand(len(points), -1), points], dim=1)
         h = start
         for k in range(self.depth + 1):
@@ -81,7 +81,7 @@ class DeepSdf(nn.Module):
         return h.squeeze(1)
 
     def describe(self) -> dict[str, Any]:
-        """How to make this network again."""
+        """Return the name and the arguments that make this network again."""
         return {"name": "deepsdf", "arguments": dict(self._arguments)}
 
 

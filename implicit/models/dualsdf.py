@@ -32,8 +32,8 @@ class SkipPerceptron(nn.Module):
     Args:
         inputs, width, outputs: Units.
         depths: Layers of net1 and of net2.
-        dropout: Of the training; it decides where the layers stand.
-        weight_norm: Whether all layers but the last are under weight norm.
+        dropout: Dropout of the training; it decides where the layers stand.
+        weight_norm: True puts all layers but the last under weight norm.
     """
 
     def __init__(
@@ -46,16 +46,16 @@ class SkipPerceptron(nn.Module):
         self.net2 = nn.Sequential(*_layers(second, dropout, weight_norm, last=True))
 
     def forward(self, x: Float[Tensor, "n i"]) -> Float[Tensor, "n o"]:
-        """Of rows."""
+        """Return the outputs of rows of inputs."""
         return self.net2(torch.cat([self.net1(x), x], dim=1))
 
 
 def _layers(widths: list[int], dropout: float, normed: bool, *, last: bool) -> list[nn.Module]:
     layers: list[nn.Module] = []
     for k in range(len(widths) - 1):
-        plain = last and k == len(widths) - 2
-        layers.append(linear(widths[k], widths[k + 1], normed=normed and not plain))
-        if not plain:
+        output = last and k == len(widths) - 2
+        layers.append(linear(widths[k], widths[k + 1], normed=normed and not output))
+        if not output:
             layers.append(nn.ReLU())
             if dropout > 0:
                 layers.append(nn.Dropout(dropout))
@@ -63,15 +63,15 @@ def _layers(widths: list[int], dropout: float, normed: bool, *, last: bool) -> l
 
 
 class DualSdf(nn.Module):
-    """Points (N, 3) and one code (L,), or a code a point (N, L), to values (N,) of the fine level.
+    """Network from points (N, 3) and one code (L,), or a code a point (N, L), to values (N,) of the fine level.
 
     Args:
-        latent: L.
+        latent: Numbers in a code, L.
         width: Units in each hidden layer, of both decoders.
         depths: Layers before and after the input is given again, of both.
-        spheres: M.
-        dropout: Of the fine decoder's training: 0.2 for the published chairs, planes and cars.
-        weight_norm: Whether all layers but the last are under weight norm.
+        spheres: Spheres of the coarse level, M.
+        dropout: Dropout of the fine decoder's training: 0.2 for the published chairs, planes and cars.
+        weight_norm: True puts all layers but the last under weight norm.
     """
 
     level = 0.0
@@ -108,25 +108,25 @@ class DualSdf(nn.Module):
         self.prim_attr_net = SkipPerceptron(latent, width, 4 * spheres, pair, dropout=0.0, weight_norm=weight_norm)
 
     def forward(self, points: Float[Tensor, "n 3"], latent: Float[Tensor, "*n l"]) -> Float[Tensor, " n"]:
-        """Fine values at the points."""
+        """Return the fine values at the points."""
         rows = torch.cat([latent.expand(len(points), -1), points], dim=1)
         return torch.tanh(self.deepsdf_net(rows)).squeeze(1)
 
     def spheres(self, latent: Float[Tensor, "*s l"]) -> tuple[Float[Tensor, "*s m"], Float[Tensor, "*s m 3"]]:
-        """Radii and centres of the coarse level."""
+        """Return the radii and centres of the spheres."""
         rows = self.prim_attr_net(latent.reshape(-1, self.latent))
         attributes = rows.reshape(*latent.shape[:-1], -1, 4)
         return attributes[..., 0].exp(), attributes[..., 1:]
 
     def coarse(self, points: Float[Tensor, "*s n 3"], latent: Float[Tensor, "*s l"]) -> Float[Tensor, "*s n"]:
-        """Coarse values at the points: the smooth union of the spheres."""
+        """Return the coarse values at the points: the smooth union of the spheres."""
         radii, centers = self.spheres(latent)
         away = points[..., :, None, :] - centers[..., None, :, :]
         distances = away.square().sum(dim=-1).clamp(min=1e-12).sqrt() - radii[..., None, :]
         return -torch.logsumexp(-SHARPNESS * distances, dim=-1) / SHARPNESS
 
     def describe(self) -> dict[str, Any]:
-        """How to make this network again."""
+        """Return the name and the arguments that make this network again."""
         return {"name": "dualsdf", "arguments": dict(self._arguments)}
 
 

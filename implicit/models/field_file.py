@@ -9,7 +9,6 @@ from typing import Any
 import torch
 
 from implicit.field.decoder import decoder_field
-from implicit.field.evaluator import OfDecoder
 from implicit.field.field import Field, Units, require_field
 
 FORMAT = "implicit-field-1"
@@ -48,7 +47,7 @@ def save_field(field: Field, path: str | PathLike[str]) -> None:
         "bounds": field.bounds.tolist(),
         "units": [field.units.scale, list(field.units.offset)],
     }
-    if isinstance(field._evaluator, OfDecoder):
+    if field.takes_code:
         header["latent"] = field.layout[0].name
     # One entry: safetensors writes several in any order, and the same field should give the same bytes.
     metadata = {"field": json.dumps(header)}

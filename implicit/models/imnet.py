@@ -24,10 +24,10 @@ TAPER = (8, 8, 8, 4, 2, 1)  # hidden widths in units of `width`
 
 
 class ImNet(nn.Module):
-    """Points (N, 3) and one code (L,), or a code a point (N, L), to values (N,).
+    """Network from points (N, 3) and one code (L,), or a code a point (N, L), to values (N,).
 
     Args:
-        latent: L.
+        latent: Numbers in a code, L.
         width: Units in the last hidden layer; the first has eight times as many.
     """
 
@@ -45,7 +45,7 @@ class ImNet(nn.Module):
             self.add_module(f"linear_{k + 1}", nn.Linear(widths[k], widths[k + 1]))
 
     def forward(self, points: Float[Tensor, "n 3"], latent: Float[Tensor, "*n l"]) -> Float[Tensor, " n"]:
-        """Values at the points."""
+        """Return the values at the points."""
         h = torch.cat([points, latent.expand(len(points), -1)], dim=1)
         for k in range(len(TAPER)):
             h = nn.functional.leaky_relu(self.get_submodule(f"linear_{k + 1}")(h), SLOPE)
@@ -53,7 +53,7 @@ class ImNet(nn.Module):
         return torch.maximum(torch.minimum(a, 0.01 * a + 0.99), 0.01 * a)
 
     def describe(self) -> dict[str, Any]:
-        """How to make this network again."""
+        """Return the name and the arguments that make this network again."""
         return {"name": "imnet", "arguments": {"latent": self.latent, "width": self.width}}
 
 
@@ -61,12 +61,12 @@ register("imnet", ImNet)
 
 
 class ImNetEncoder(nn.Module):
-    """Voxels (S, 1, R, R, R), 1 inside, to codes (S, L) between 0 and 1.
+    """Network from voxels (S, 1, R, R, R), 1 inside, to codes (S, L) between 0 and 1.
 
     Convolutions of stride 2 halve the grid down to 4^3, the last takes that to one cell.
 
     Args:
-        latent: L.
+        latent: Numbers in a code, L.
         width: Channels after the first convolution; each further one doubles them, the last but one keeps them.
         resolution: R, a power of two of at least 16.
     """
@@ -90,7 +90,7 @@ class ImNetEncoder(nn.Module):
         self.add_module(f"conv_{halvings + 1}", nn.Conv3d(channels[-1], latent, 4))
 
     def forward(self, voxels: Float[Tensor, "s 1 r r r"]) -> Float[Tensor, "s l"]:
-        """Codes of the shapes."""
+        """Return the codes of the shapes."""
         h = voxels
         for k in range(self.halvings):
             h = self.get_submodule(f"in_{k + 1}")(self.get_submodule(f"conv_{k + 1}")(h))
@@ -98,5 +98,5 @@ class ImNetEncoder(nn.Module):
         return torch.sigmoid(self.get_submodule(f"conv_{self.halvings + 1}")(h).flatten(1))
 
     def describe(self) -> dict[str, Any]:
-        """How to make this network again."""
+        """Return the name and the arguments that make this network again."""
         return {"name": "imnet-encoder", "arguments": dict(self._arguments)}

@@ -1,4 +1,4 @@
-"""A plain perceptron with softplus or ReLU, started near the distance to a sphere.
+"""A perceptron with softplus or ReLU, started near the distance to a sphere.
 
 Source of the start: Atzmon and Lipman, "SAL: Sign agnostic learning of shapes from raw data", CVPR 2020, theorem 1:
 with hidden weights of variance 2 / width, equal weights sqrt(pi / width) in the last layer and its bias -r, the
@@ -19,7 +19,7 @@ from implicit.models.registry import register
 
 
 class Mlp(nn.Module):
-    """Points (N, D) to values (N,) through hidden layers of softplus or ReLU.
+    """Network from points (N, D) to values (N,) through hidden layers of softplus or ReLU.
 
     Args:
         dimension: D, 2 or 3.
@@ -64,7 +64,7 @@ class Mlp(nn.Module):
             layers[-1].bias.fill_(-0.5)
 
     def forward(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
-        """Values at the points."""
+        """Return the values at the points."""
         h = points
         for layer in self.layers[:-1]:
             h = layer(h)
@@ -79,7 +79,7 @@ class Mlp(nn.Module):
         return nn.functional.softplus(z, self.sharpness), rise, self.sharpness * rise * (1 - rise)
 
     def describe(self) -> dict[str, Any]:
-        """How to make this network again."""
+        """Return the name and the arguments that make this network again."""
         first = self.layers[0]
         return {
             "name": "mlp",

@@ -17,7 +17,7 @@ from implicit.models.registry import register
 
 
 class Siren(nn.Module):
-    """Points (N, D) to values (N,) through hidden layers of sines.
+    """Network from points (N, D) to values (N,) through hidden layers of sines.
 
     The default, 3 hidden layers of 32, has 2273 parameters: the network of Berzins et al. 2023.
 
@@ -65,21 +65,21 @@ class Siren(nn.Module):
                 layer.weight.uniform_(-reach, reach, generator=generator)
                 layer.bias.uniform_(-(inputs**-0.5), inputs**-0.5, generator=generator)
 
-    def forward(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
-        """Values at the points."""
+    def forward(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n ..."]:
+        """Return the values at the points."""
         h = torch.sin(self.first_frequency * self.layers[0](points))
         for layer in self.layers[1:-1]:
             h = torch.sin(self.frequency * layer(h))
         return self.layers[-1](h).squeeze(-1)
 
     def activate(self, layer: int, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The sine after a hidden layer, and its first and second derivative (see implicit.sensitivity.closed_form)."""
+        """Return the sine after a hidden layer with its two derivatives, for implicit.sensitivity.closed_form."""
         frequency = self.first_frequency if layer == 0 else self.frequency
         wave = torch.sin(frequency * z)
         return wave, frequency * torch.cos(frequency * z), -(frequency**2) * wave
 
     def describe(self) -> dict[str, Any]:
-        """How to make this network again."""
+        """Return the name and the arguments that make this network again."""
         first = self.layers[0]
         return {
             "name": "siren",

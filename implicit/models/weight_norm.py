@@ -16,28 +16,28 @@ class WeightNormLinear(nn.Module):
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
         # The start of nn.Linear, as weight norm gives it.
-        plain = nn.Linear(inputs, outputs)
-        self.bias = nn.Parameter(plain.bias.detach())
-        self.weight_v = nn.Parameter(plain.weight.detach())
-        self.weight_g = nn.Parameter(plain.weight.detach().norm(dim=1, keepdim=True))
+        start = nn.Linear(inputs, outputs)
+        self.bias = nn.Parameter(start.bias.detach())
+        self.weight_v = nn.Parameter(start.weight.detach())
+        self.weight_g = nn.Parameter(start.weight.detach().norm(dim=1, keepdim=True))
 
     @property
     def weight(self) -> Tensor:
-        """W (out, in)."""
+        """The weights W (out, in)."""
         return self.weight_v * (self.weight_g / self.weight_v.norm(dim=1, keepdim=True))
 
     def forward(self, x: Tensor) -> Tensor:
-        """Of rows (..., in)."""
+        """Return the outputs (..., out) of rows (..., in)."""
         return nn.functional.linear(x, self.weight, self.bias)
 
 
 def linear(inputs: int, outputs: int, *, normed: bool) -> nn.Module:
-    """A layer with or without weight norm."""
+    """Return a layer with or without weight norm."""
     return WeightNormLinear(inputs, outputs) if normed else nn.Linear(inputs, outputs)
 
 
 def with_weight_norm(state: dict[str, Tensor], module: nn.Module) -> dict[str, Tensor]:
-    """The state of the same network without weight norm, in the names of `module`, where some layers have it."""
+    """Return the state of the same network without weight norm, in the names of `module`, where some layers have it."""
     normed = {name for name, part in module.named_modules() if isinstance(part, WeightNormLinear)}
     result = {}
     for name, value in state.items():

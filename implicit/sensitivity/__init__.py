@@ -1,1 +1,1 @@
-"""How the surface and its integrals move with the parameters [paper, eq. 3 and 7]."""
+"""Motion of the surface and of its integrals with the parameters [paper, eq. 3 and 7]."""

@@ -26,28 +26,31 @@ class BasisFunction:
     """A function on the surface: outward speed per unit of one parameter.
 
     Attributes:
-        field: Whose parameter it is.
-        name: Its block and its place in it, such as "layers.1.weight[3, 7]".
-        index: Its place in theta.
+        field: The field whose parameter it is.
+        name: Name of the parameter's block and its place in it, such as "layers.1.weight[3, 7]".
+        index: Place of the parameter in theta.
     """
 
     field: Field
     name: str
     index: int
 
+    def __repr__(self) -> str:
+        return f"BasisFunction: {self.name}, theta[{self.index}] of P = {len(self.field.theta):,}"
+
     def __call__(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
-        """Length per unit of the parameter at surface points (N, D), without making the other columns."""
+        """Return the length per unit of the parameter at surface points (N, D), without making the other columns."""
         unit = torch.zeros_like(self.field.theta)
         unit[self.index] = 1.0
         return normal_displacement(self.field, points, unit)
 
 
 def basis_function(field: Field, parameter: int | str) -> BasisFunction:
-    """The basis function of one parameter.
+    """Return the basis function of one parameter.
 
     Args:
         field: The field.
-        parameter: Its place in theta, or its name as in "layers.1.weight[3, 7]"; a block of one number needs no
+        parameter: Place in theta, or name as in "layers.1.weight[3, 7]"; a block of one number needs no
             brackets.
 
     Raises:
@@ -61,7 +64,12 @@ def basis_function(field: Field, parameter: int | str) -> BasisFunction:
 
 
 def one_weight_per_layer(field: Field, seed: int = 0) -> list[BasisFunction]:
-    """A random weight of each layer, in the order in which the module holds its layers: of increasing depth."""
+    """Return the basis function of a random weight of each layer, in the order in which the module holds its layers.
+
+    Args:
+        field: The field; its blocks of one dimension, the biases, are left out.
+        seed: Seed of the random choice.
+    """
     require_field(field)
     generator = torch.Generator().manual_seed(seed)
     chosen = []

@@ -1,4 +1,4 @@
-"""How the surface moves when the parameters of the field move.
+"""Boundary sensitivity: the motion of the surface as the parameters of the field move.
 
 Moving theta by d_theta moves each point of the surface f(x; theta) = 0 outward by
 
@@ -28,7 +28,7 @@ BLOCK = 32_000_000
 
 
 def basis(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n p"]:
-    """Outward speed of each surface point per unit of each parameter, B (paper, eq. 3).
+    """Return the outward speed of each surface point per unit of each parameter, B (paper, eq. 3).
 
     Row i is -(df/dtheta) / |df/dx| at points[i]. Multiplying f by a positive constant changes nothing.
 
@@ -48,13 +48,13 @@ def basis(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n p"]:
 
 
 def basis_block(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n p"]:
-    """As `basis`, in one piece."""
+    """Return the matrix of `basis`, in one piece."""
     length = field.gradient_length(field.gradient(points))
     return parameter_gradient(field, points).div_(-length[:, None])
 
 
 def parameter_gradient(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n p"]:
-    """df/dtheta at each point."""
+    """Return df/dtheta at each point."""
     if is_plain(field):
         return plain_gradient(field, points)
     try:
@@ -66,14 +66,14 @@ def parameter_gradient(field: Field, points: Float[Tensor, "n d"]) -> Float[Tens
 def value_and_gradients(
     field: Field, points: Float[Tensor, "n d"]
 ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n d"], Float[Tensor, "n p"]]:
-    """f, df/dx and df/dtheta at each point, by one forward and one backward pass where torch can."""
+    """Return f, df/dx and df/dtheta at each point, by one forward and one backward pass where torch can."""
     if not is_plain(field):
         both = vmap(grad_and_value(_at_one_point(field), argnums=(0, 1)), in_dims=(None, 0))
         try:
             (of_theta, of_x), values = both(field.theta, points)
             return values, of_x, of_theta
         except (RuntimeError, NotImplementedError):
-            pass  # some modules refuse vmap; the parts below have a way for those
+            pass  # some modules refuse vmap; the parts below take those too
     values, gradients = field.value_and_gradient(points)
     return values, gradients, parameter_gradient(field, points)
 
@@ -84,9 +84,12 @@ def normal_displacement(
     d_theta: Float[Tensor, " p"],
     lengths: Float[Tensor, " n"] | None = None,
 ) -> Float[Tensor, " n"]:
-    """Outward motion B d_theta of surface points, a length, without making B.
+    """Return the outward motion B d_theta of surface points, a length, without making B.
 
     Args:
+        field: The field.
+        points: Points (N, D) on the surface.
+        d_theta: Change of the parameters (P,).
         lengths: |df/dx| at the points, where the caller has it already.
 
     Raises:
@@ -102,7 +105,7 @@ def normal_displacement(
 
 
 def _directional(field: Field, points: Tensor, d_theta: Tensor) -> Tensor:
-    """df/dtheta . d_theta at each point."""
+    """Return df/dtheta . d_theta at each point."""
     try:
         return jvp(lambda theta: field.function(theta, points), (field.theta,), (d_theta,))[1]
     except NotImplementedError:
@@ -121,10 +124,16 @@ def adjoint(
     weights: Float[Tensor, " n"],
     lengths: Float[Tensor, " n"] | None = None,
 ) -> Float[Tensor, " p"]:
-    """B^T weights: the sum of weights[i] b(points[i]), by one backward pass.
+    """Return B^T weights: the sum of weights[i] b(points[i]), by one backward pass.
 
     Args:
+        field: The field.
+        points: Points (N, D) on the surface.
+        weights: Number for each point (N,).
         lengths: |df/dx| at the points, where the caller has it already.
+
+    Raises:
+        ValueError: The gradient vanishes at a point, or the shapes do not fit.
     """
     points = require_field(field).require_points(points)
     require_tensor("weights", weights, points.shape[:1], field.device)
@@ -142,7 +151,7 @@ def adjoint(
 
 
 def parameter_gradient_and_slope(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n e p"]:
-    """df/dtheta and, after it, its derivatives in space d(df/dtheta)/dx, (N, 1 + D, P)."""
+    """Return df/dtheta and, after it, its derivatives in space d(df/dtheta)/dx, (N, 1 + D, P)."""
     if is_plain(field):
         return plain_gradient_and_slope(field, points)
     gradient = grad(_at_one_point(field))
@@ -160,7 +169,7 @@ def parameter_gradient_and_slope(field: Field, points: Float[Tensor, "n d"]) -> 
 
 
 def _one_by_one(field: Field, points: Tensor, error: Exception) -> Tensor:
-    """df/dtheta and its slopes by ordinary backward passes, for modules that vmap cannot take."""
+    """Return df/dtheta and its slopes by ordinary backward passes, for modules that vmap cannot take."""
     warnings.warn(
         f"The module cannot be vectorised over points ({str(error).splitlines()[0]}), so they are differentiated one "
         "by one, which is slow. In-place operations and data-dependent branches are the usual cause.",
@@ -184,7 +193,7 @@ def _one_by_one(field: Field, points: Tensor, error: Exception) -> Tensor:
 
 
 def row_blocks(points: Tensor, columns: int) -> Iterator[Tensor]:
-    """The points in parts whose rows of so many columns stay within BLOCK numbers."""
+    """Return the points in parts whose rows of so many columns stay within BLOCK numbers."""
     yield from points.split(max(1, BLOCK // max(columns, 1)))
 
 

@@ -44,7 +44,7 @@ class Functional(ABC):
 
     Attributes:
         target: The value to hold; None is the value at the start.
-        bound: Whether the value is to equal the target, or to be at least or at most that.
+        bound: "equal" holds the value at the target, "at least" and "at most" on one side of it.
     """
 
     target: float | None
@@ -55,62 +55,81 @@ class Functional(ABC):
             require_finite("target", self.target)
         require_choice("bound", self.bound, get_args(Bound))
 
+    def __repr__(self) -> str:
+        target, bound = getattr(self, "target", None), getattr(self, "bound", "equal")  # a user's class may lack them
+        held = [] if target is None else [f"target={target:g}"]
+        if bound != "equal":
+            held.append(f"bound={bound!r}")
+        return f"{type(self).__name__}({', '.join([*self._arguments(), *held])})"
+
+    def _arguments(self) -> list[str]:
+        """Return the arguments that tell one functional of this kind from another, as in its repr."""
+        return []
+
     @property
     def name(self) -> str:
-        """What it is called in records."""
+        """Name of the functional in records."""
         return type(self).__name__.lower()
 
     @abstractmethod
     def value(self, field: Field, sample: SurfaceSample) -> float:
-        """The functional of the field's surface, integrated over the sample."""
+        """Return the functional of the field's surface, integrated over the sample."""
 
     @abstractmethod
     def shape_gradient(self, field: Field, sample: SurfaceSample) -> Float[Tensor, " n"]:
-        """Its change per unit of outward motion and of area, at each point."""
+        """Return its change per unit of outward motion and of area, at each point."""
 
     def sensitivity(self, field: Field, sample: SurfaceSample) -> Float[Tensor, " p"]:
-        """Its derivative by each parameter, (P,): the shape gradient carried to the parameters by B^T."""
+        """Return its derivative by each parameter, (P,): B^T times the weighted shape gradient."""
         require_sample(field, sample)
         return adjoint(field, sample.points, sample.weights * self.shape_gradient(field, sample))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Volume(Functional):
-    """Volume inside the surface (area inside the curve, in the plane), by the divergence theorem."""
+    """Volume inside the surface (area inside the curve, in the plane), by the divergence theorem.
+
+    Args:
+        target, bound: Value to hold, None for that at the start, and the side of it, as in Functional.
+    """
 
     target: float | None = None
     bound: Bound = "equal"
 
     def value(self, field: Field, sample: SurfaceSample) -> float:
-        way = _Way.of(field, sample)
-        return float((volume_terms(sample) + way.weights * way.length).double().sum())
+        off = _Distance.of(field, sample)
+        return float((volume_terms(sample) + off.weights * off.distance).double().sum())
 
     def shape_gradient(self, field: Field, sample: SurfaceSample) -> Tensor:
         return torch.ones_like(sample.weights)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Area(Functional):
-    """Area of the surface (length of the curve, in the plane)."""
+    """Area of the surface (length of the curve, in the plane).
+
+    Args:
+        target, bound: Value to hold, None for that at the start, and the side of it, as in Functional.
+    """
 
     target: float | None = None
     bound: Bound = "equal"
 
     def value(self, field: Field, sample: SurfaceSample) -> float:
-        way = _Way.of(field, sample)
-        return float(way.surface_weights(field, sample).double().sum())
+        off = _Distance.of(field, sample)
+        return float(off.surface_weights(field, sample).double().sum())
 
     def shape_gradient(self, field: Field, sample: SurfaceSample) -> Tensor:
         return surface_mean_curvature(field, sample.points)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class VolumeIntegral(Functional):
     """Integral of a density over the inside.
 
     Args:
         h: From points (N, D) to values (N,), smooth on the whole of the field's bounds, not on the inside alone.
-        target, bound: As for every functional.
+        target, bound: Value to hold, None for that at the start, and the side of it, as in Functional.
         nodes: Gauss points along each ray in the antiderivative; exact for polynomials h of degree up to
             2 nodes - D.
     """
@@ -125,6 +144,9 @@ class VolumeIntegral(Functional):
         require_callable("h", self.h, "a function from points (N, D) to values (N,)")
         require_whole("nodes", self.nodes)
 
+    def _arguments(self) -> list[str]:
+        return [_name_of(self.h)]
+
     def value(self, field: Field, sample: SurfaceSample) -> float:
         require_sample(field, sample)
         # The field F(x) = (x - c) int_0^1 t^(D-1) h(c + t (x - c)) dt has div F = h, so int h = int F . n.
@@ -134,21 +156,21 @@ class VolumeIntegral(Functional):
         total = torch.zeros_like(sample.weights)
         for t, w in zip((gauss + 1) / 2, weight / 2, strict=True):
             total += w * t ** (field.dimension - 1) * _density(self.h, center + t * arm, "h")
-        way = _Way.of(field, sample)
-        beyond = way.weights * way.length * _density(self.h, sample.points, "h")
+        off = _Distance.of(field, sample)
+        beyond = off.weights * off.distance * _density(self.h, sample.points, "h")
         return float((sample.weights * total * (arm * sample.normals).sum(dim=1) + beyond).double().sum())
 
     def shape_gradient(self, field: Field, sample: SurfaceSample) -> Tensor:
         return _density(self.h, sample.points, "h")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SurfaceIntegral(Functional):
     """Integral of a density over the surface.
 
     Args:
         g: From points (N, D) to values (N,), differentiable by torch.
-        target, bound: As for every functional.
+        target, bound: Value to hold, None for that at the start, and the side of it, as in Functional.
     """
 
     g: Density
@@ -159,10 +181,13 @@ class SurfaceIntegral(Functional):
         super().__post_init__()
         require_callable("g", self.g, "a function from points (N, D) to values (N,)")
 
+    def _arguments(self) -> list[str]:
+        return [_name_of(self.g)]
+
     def value(self, field: Field, sample: SurfaceSample) -> float:
-        way = _Way.of(field, sample)
-        density = _density(self.g, sample.points + way.length[:, None] * way.normals, "g")
-        return float((way.surface_weights(field, sample) * density).double().sum())
+        off = _Distance.of(field, sample)
+        density = _density(self.g, sample.points + off.distance[:, None] * off.normals, "g")
+        return float((off.surface_weights(field, sample) * density).double().sum())
 
     def shape_gradient(self, field: Field, sample: SurfaceSample) -> Tensor:
         with torch.enable_grad():
@@ -174,7 +199,12 @@ class SurfaceIntegral(Functional):
 
 @dataclass(frozen=True)
 class Integral:
-    """A functional's value, and an estimate of its error from half the resolution."""
+    """A functional's value, and an estimate of its error from half the resolution.
+
+    Attributes:
+        value: The value.
+        error: Bound on its error once the cells resolve the shape, in the same unit.
+    """
 
     value: float
     error: float
@@ -187,13 +217,19 @@ def require_functional(name: str, value: object) -> None:
 
 
 def integrate(field: Field, functional: Functional, resolution: int = 64) -> Integral:
-    """The functional of the field's surface at a resolution, with an error estimate.
+    """Return the functional of the field's surface at a resolution, with an error estimate.
 
     The quadrature's error falls with at least the third power of the cell, so the value at half the resolution is off
     by eight times as much or more: a seventh of the difference bounds the error once the cells resolve the shape.
 
+    Args:
+        field: The field.
+        functional: Volume(), Area() or another.
+        resolution: Cells along the longest side of the bounds.
+
     Raises:
-        SurfaceError: As for surface_quadrature.
+        SurfaceError: There is no surface in the bounds, it leaves them, or the gradient vanishes on it.
+        TypeError: It is no functional.
     """
     require_functional("functional", functional)
     require_resolution("resolution", resolution)
@@ -204,33 +240,39 @@ def integrate(field: Field, functional: Functional, resolution: int = 64) -> Int
 
 
 @dataclass(frozen=True, eq=False)
-class _Way:
-    """From the points of a sample to the surface, to first order."""
+class _Distance:
+    """Distance from the points of a sample to the surface, to first order."""
 
-    length: Float[Tensor, " n"]  # along the normal of the field, outward
+    distance: Float[Tensor, " n"]  # along the normal of the field, outward
     normals: Float[Tensor, "n d"]  # of the field
     weights: Float[Tensor, " n"]  # of the sample, times the cosine between the two normals
 
     @classmethod
-    def of(cls, field: Field, sample: SurfaceSample) -> _Way:
+    def of(cls, field: Field, sample: SurfaceSample) -> _Distance:
         require_sample(field, sample)
         value, gradient = field.value_and_gradient(sample.points)
         slope = field.gradient_length(gradient)
         normals = gradient / slope[:, None]
         # Where two sheets come close the field's slope vanishes between them, and the first order means nothing.
         limit = field.size / 100
-        length = (-value / slope).clamp(-limit, limit)
-        return cls(length, normals, sample.weights * (normals * sample.normals).sum(dim=1))
+        distance = (-value / slope).clamp(-limit, limit)
+        return cls(distance, normals, sample.weights * (normals * sample.normals).sum(dim=1))
 
     def surface_weights(self, field: Field, sample: SurfaceSample) -> Tensor:
-        """The sample's weights carried to the surface."""
-        return self.weights * (1 + field.mean_curvature(sample.points) * self.length)
+        """Return the sample's weights on the surface."""
+        if not normal_turning(field, sample.points).is_smooth:
+            return self.weights  # between its edges such a surface is as good as flat
+        return self.weights * (1 + field.mean_curvature(sample.points) * self.distance)
 
 
 def volume_terms(sample: SurfaceSample) -> Float[Tensor, " n"]:
-    """Each point's share x . n / D of the volume, about the centroid so that distant shapes lose no digits."""
+    """Return each point's share x . n / D of the volume, about the centroid so that distant shapes lose no digits."""
     center = (sample.weights @ sample.points) / sample.weights.sum()
     return sample.weights * ((sample.points - center) * sample.normals).sum(dim=1) / sample.points.shape[1]
+
+
+def _name_of(function: Density) -> str:
+    return str(getattr(function, "__name__", type(function).__name__))
 
 
 def _density(function: Density, points: Tensor, name: str) -> Tensor:

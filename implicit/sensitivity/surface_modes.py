@@ -1,4 +1,4 @@
-"""How a shape moves with its parameters: basis functions on the surface, and how symmetric each is.
+"""Motions of a shape by its parameters: orthonormal ones on the surface, and the symmetry of each.
 
 Column k of B (implicit.sensitivity.boundary_sensitivity) is the outward motion of every surface point per unit of
 parameter k; a direction d of the parameters moves the surface by u = B d. Among all directions, those of the singular
@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from implicit.arguments import require_tensor, require_whole
+from implicit.arguments import counted, kind_of, require_tensor, require_whole
 from implicit.field.field import Field
 from implicit.sensitivity.boundary_sensitivity import basis
 from implicit.surface.projection import newton_to_surface
@@ -26,8 +26,9 @@ class SurfaceModes:
     """Orthonormal motions of a surface.
 
     Attributes:
-        directions: Unit changes of the parameters (P, K), orthonormal, the liveliest first.
-        strengths: Root of the integral of the squared motion for each, a length squared per unit of parameter.
+        directions: Unit changes of the parameters (P, K), orthonormal, that of the largest singular value first.
+        strengths: Singular value of each, the root of the integral of its squared motion, a length squared per unit of
+            parameter.
         motions: Outward motion of each sample point, divided by the strength (N, K).
     """
 
@@ -35,12 +36,20 @@ class SurfaceModes:
     strengths: Float[Tensor, " k"]
     motions: Float[Tensor, "n k"]
 
+    def __repr__(self) -> str:
+        largest = ", ".join(f"{float(strength):.3g}" for strength in self.strengths[:3])
+        return (
+            f"SurfaceModes: {counted(len(self.strengths), 'direction')} of P = {len(self.directions):,} on "
+            f"{counted(len(self.motions), 'point')}, strengths {largest}{', ...' if len(self.strengths) > 3 else ''} "
+            f"({kind_of(self.directions)})"
+        )
+
 
 def surface_modes(field: Field, sample: SurfaceSample, count: int = 8) -> SurfaceModes:
-    """The directions of the parameters that move the surface most.
+    """Return the directions of the parameters that move the surface most.
 
     Args:
-        field: With few parameters, such as a code: B is made whole.
+        field: A field of few parameters, such as a code: B is made whole.
         sample: Points and weights on the surface.
         count: K, at most the number of parameters.
     """
@@ -56,14 +65,14 @@ def surface_modes(field: Field, sample: SurfaceSample, count: int = 8) -> Surfac
 def mirror_symmetry(
     field: Field, sample: SurfaceSample, directions: Float[Tensor, "p k"], *, axis: int = 0
 ) -> Float[Tensor, " k"]:
-    """How far the motion of each direction is its own mirror image: 1 symmetric, -1 antisymmetric, 0 neither.
+    """Return the mirror symmetry of the motion of each direction: 1 symmetric, -1 antisymmetric, 0 neither.
 
-    The correlation over the surface of u(x) with u at the mirror image of x,
+    It is the correlation over the surface of u(x) with u at the mirror image of x,
 
         int u(x) u(mx) / sqrt(int u(x)^2 int u(mx)^2)
 
     Args:
-        field: With few parameters, such as a code: B is made whole.
+        field: A field of few parameters, such as a code: B is made whole.
         sample: Points and weights on the surface.
         directions: Changes of the parameters, a column each.
         axis: Normal of the mirror plane through the origin: 0, 1, 2 for x, y, z.

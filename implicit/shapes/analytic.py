@@ -50,7 +50,7 @@ def sphere(
     parameters: Iterable[str] | None = None,
     bounds: Bounds | None = None,
 ) -> Field:
-    """f = scale (|x - center| - radius), with parameters "radius" and "center".
+    """Return f = scale (|x - center| - radius), with parameters "radius" and "center".
 
     Args:
         radius, center: Of the sphere; the default centre is the origin.
@@ -76,7 +76,7 @@ def circle(
     parameters: Iterable[str] | None = None,
     bounds: Bounds | None = None,
 ) -> Field:
-    """The sphere of the plane."""
+    """Return the circle in the plane, f = scale (|x - center| - radius); arguments as for `sphere`."""
     return sphere(radius, center, scale, dimension=2, dtype=dtype, parameters=parameters, bounds=bounds)
 
 
@@ -88,7 +88,7 @@ def torus(
     parameters: Iterable[str] | None = None,
     bounds: Bounds | None = None,
 ) -> Field:
-    """Distance to the torus about the z axis; parameters "R", of its centre line, and "r", of its tube."""
+    """Return the distance to the torus about the z axis; parameters "R", of its centre line, and "r", of its tube."""
     return _field(Torus(R, r, dtype=dtype), parameters, bounds)
 
 
@@ -101,7 +101,7 @@ def box(
     parameters: Iterable[str] | None = None,
     bounds: Bounds | None = None,
 ) -> Field:
-    """A box (a rectangle in the plane) as the smooth intersection of its half spaces, smooth everywhere.
+    """Return a box (a rectangle in the plane) as the smooth intersection of its half spaces, smooth everywhere.
 
     Args:
         half_lengths: Half the length of each side; their number gives the dimension. Faces lie there but for the edges.
@@ -122,7 +122,14 @@ def rounded_box(
     parameters: Iterable[str] | None = None,
     bounds: Bounds | None = None,
 ) -> Field:
-    """Distance to a box with edges rounded to a radius within half_lengths. Its curvature jumps along the roundings."""
+    """Return the distance to a box with edges rounded to a radius; its curvature jumps along the roundings.
+
+    Args:
+        half_lengths: Half the length of each side, roundings included; their number gives the dimension.
+        radius: Radius of the edges, at most each of half_lengths.
+        center: Default the origin.
+        dtype, parameters, bounds: As for `sphere`.
+    """
     center = (0.0,) * len(half_lengths) if center is None else center
     return _field(RoundedBox(half_lengths, radius, center, dtype=dtype), parameters, bounds)
 
@@ -136,7 +143,13 @@ def capsule(
     parameters: Iterable[str] | None = None,
     bounds: Bounds | None = None,
 ) -> Field:
-    """Distance to the segment from a to b, less the radius. Its curvature jumps where the caps begin."""
+    """Return the distance to the segment from a to b, less the radius; its curvature jumps where the caps begin.
+
+    Args:
+        a, b: Ends of the segment, in 2 or 3 dimensions.
+        radius: Radius about the segment, a length.
+        dtype, parameters, bounds: As for `sphere`.
+    """
     return _field(Capsule(a, b, radius, dtype=dtype), parameters, bounds)
 
 
@@ -150,7 +163,14 @@ def cylinder(
     parameters: Iterable[str] | None = None,
     bounds: Bounds | None = None,
 ) -> Field:
-    """A cylinder with axis from a to b and rims rounded to the radius `edge`, smooth off the axis."""
+    """Return a cylinder with rounded rims, smooth off the axis.
+
+    Args:
+        a, b: Ends of the axis, at the middles of the end discs.
+        radius: Radius about the axis, a length.
+        edge: Smallest radius of curvature of the rims.
+        dtype, parameters, bounds: As for `sphere`.
+    """
     return _field(Cylinder(a, b, radius, edge, dtype=dtype), parameters, bounds)
 
 
@@ -162,7 +182,13 @@ def ellipsoid(
     parameters: Iterable[str] | None = None,
     bounds: Bounds | None = None,
 ) -> Field:
-    """An ellipsoid (ellipse in the plane). f has gradient 1 on the surface, and is no distance away from it."""
+    """Return an ellipsoid (ellipse in the plane); f has gradient 1 on the surface, and is no distance away from it.
+
+    Args:
+        radii: Half axes along the coordinates; their number gives the dimension.
+        center: Default the origin.
+        dtype, parameters, bounds: As for `sphere`.
+    """
     center = (0.0,) * len(radii) if center is None else center
     return _field(Ellipsoid(radii, center, dtype=dtype), parameters, bounds)
 
@@ -171,17 +197,17 @@ def ellipsoid(
 
 
 def smooth_union(first: Field, *others: Field, blend: float = 0.1, bounds: Bounds | None = None) -> Field:
-    """All the bodies, with the grooves where they meet rounded to the radius `blend`."""
+    """Return the union of the bodies, with the grooves where they meet rounded to the radius `blend`."""
     return _combine(SmoothUnion, (first, *others), blend, bounds)
 
 
 def smooth_intersection(first: Field, *others: Field, blend: float = 0.1, bounds: Bounds | None = None) -> Field:
-    """What all the bodies share, with the edges where they meet rounded to the radius `blend`."""
+    """Return the intersection of the bodies, with the edges where they meet rounded to the radius `blend`."""
     return _combine(SmoothIntersection, (first, *others), blend, bounds)
 
 
 def smooth_difference(first: Field, *others: Field, blend: float = 0.1, bounds: Bounds | None = None) -> Field:
-    """The first body less all the others, with the edges of the cuts rounded to the radius `blend`."""
+    """Return the first body less all the others, with the edges of the cuts rounded to the radius `blend`."""
     return _combine(SmoothDifference, (first, *others), blend, bounds)
 
 
@@ -189,7 +215,7 @@ def smooth_difference(first: Field, *others: Field, blend: float = 0.1, bounds: 
 
 
 def cactus(*, dtype: torch.dtype = torch.float64) -> Field:
-    """A trunk along y with two bent arms: smooth, thin parts, genus 0."""
+    """Return a trunk along y with two bent arms: smooth, thin parts, genus 0."""
     limbs = [
         capsule((0.0, -0.58, 0.0), (0.0, 0.58, 0.0), 0.19, dtype=dtype),
         capsule((0.0, -0.12, 0.0), (-0.46, -0.05, 0.06), 0.11, dtype=dtype),
@@ -201,7 +227,7 @@ def cactus(*, dtype: torch.dtype = torch.float64) -> Field:
 
 
 def bracket(*, dtype: torch.dtype = torch.float64) -> Field:
-    """An angle bracket, two plates at right angles with three holes: a mechanical part of genus 3."""
+    """Return an angle bracket, two plates at right angles with three holes: a mechanical part of genus 3."""
     plates = smooth_union(
         box((0.62, 0.12, 0.5), (0.08, -0.5, 0.0), 0.05, dtype=dtype),
         box((0.12, 0.57, 0.42), (-0.55, 0.02, 0.0), 0.05, dtype=dtype),
@@ -216,13 +242,13 @@ def bracket(*, dtype: torch.dtype = torch.float64) -> Field:
 
 
 def dumbbell(*, dtype: torch.dtype = torch.float64) -> Field:
-    """Two balls on a thin bar along x, which pinches off under mean-curvature flow."""
+    """Return two balls on a thin bar along x, which pinches off under mean-curvature flow."""
     balls = [sphere(0.3, (-0.45, 0.0, 0.0), dtype=dtype), sphere(0.3, (0.45, 0.0, 0.0), dtype=dtype)]
     return smooth_union(*balls, capsule((-0.45, 0.0, 0.0), (0.45, 0.0, 0.0), 0.1, dtype=dtype), blend=0.1)
 
 
 def chair(*, dtype: torch.dtype = torch.float64) -> Field:
-    """A seat, a back and four legs, y up."""
+    """Return a seat, a back and four legs, y up."""
     legs = [
         capsule((0.38 * i, -0.72, 0.38 * k), (0.34 * i, -0.05, 0.34 * k), 0.07, dtype=dtype)
         for i in (-1, 1)
@@ -237,7 +263,7 @@ def chair(*, dtype: torch.dtype = torch.float64) -> Field:
 
 
 def exact_area(field: Field) -> float:
-    """Area of the surface (length of the curve in the plane) at the field's parameters, by formula.
+    """Return the area of the surface (length of the curve in the plane) at the field's parameters, by formula.
 
     Known for sphere, circle, torus, capsule and rounded_box.
 
@@ -248,7 +274,7 @@ def exact_area(field: Field) -> float:
 
 
 def exact_volume(field: Field) -> float:
-    """Volume inside (area in the plane) at the field's parameters, by formula.
+    """Return the volume inside (area in the plane) at the field's parameters, by formula.
 
     Known for sphere, circle, torus, capsule, rounded_box and ellipsoid.
 
@@ -302,7 +328,7 @@ def _combine(kind: type[Combination], fields: Sequence[Field], blend: float, bou
 
 
 def _at_theta(field: Field) -> nn.Module:
-    """A copy of the field's module that holds the field's parameters."""
+    """Return a copy of the field's module that holds the field's parameters."""
     assert field.module is not None
     module = copy.deepcopy(field.module)
     named = dict(module.named_parameters())

@@ -11,7 +11,7 @@ BUNDLED = ("spot", "cactus", "bracket")
 
 
 def bundled(name: str) -> Field:
-    """A network of 3 hidden layers of 32 sines fitted to a shape, one of BUNDLED; float32.
+    """Return a network of 3 hidden layers of 32 sines fitted to a shape, one of BUNDLED; float32.
 
     "spot" is Keenan Crane's cow (public domain), "cactus" and "bracket" the shapes of that name in this file.
     How well each fits stands in data/<name>.json; `python -m compare.fitting.bundle` makes them again.

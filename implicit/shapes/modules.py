@@ -15,7 +15,7 @@ from implicit.models.registry import build, register
 
 
 class Shape(nn.Module):
-    """Points (N, D) to values (N,), negative inside; all tensors are parameters."""
+    """Module from points (N, D) to values (N,), negative inside; all tensors are parameters."""
 
     name: str
 
@@ -24,17 +24,23 @@ class Shape(nn.Module):
             require_numbers(name, value, "a number, or one for each coordinate")
             self.register_parameter(name, nn.Parameter(torch.as_tensor(value, dtype=dtype)))
 
+    def __repr__(self) -> str:
+        own = {name: _rounded(value) for name, value in self.named_parameters(recurse=False)}
+        return (
+            f"{type(self).__name__}({', '.join(f'{name}={value}' for name, value in (own | self.options()).items())})"
+        )
+
     def options(self) -> dict[str, Any]:
-        """Arguments of the constructor that are not parameters."""
+        """Return the arguments of the constructor that are not parameters."""
         return {}
 
     def describe(self) -> dict[str, Any]:
-        """How to make this shape again."""
+        """Return the name and the arguments that make this shape again."""
         own = {name: value.tolist() for name, value in self.named_parameters(recurse=False)}
         return {"name": self.name, "arguments": own | self.options()}
 
     def extent(self) -> Float[Tensor, "2 d"]:
-        """Corners of a box that holds the shape."""
+        """Return the corners of a box that holds the shape."""
         raise NotImplementedError
 
 
@@ -257,8 +263,12 @@ class Combination(Shape):
         self.parts = nn.ModuleList(build(part) if isinstance(part, dict) else part for part in parts)
         self.blend = float(blend)
 
+    def __repr__(self) -> str:
+        kinds = list(dict.fromkeys(type(part).__name__ for part in self.parts))
+        return f"{type(self).__name__}({len(self.parts)} bodies: {', '.join(kinds)}; blend={self.blend:g})"
+
     def values(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n k"]:
-        """f of each part."""
+        """Return f of each part."""
         return torch.stack([part(points) for part in self.parts], dim=1)
 
     def options(self) -> dict[str, Any]:
@@ -266,7 +276,7 @@ class Combination(Shape):
         return {"parts": [part.describe() for part in parts], "blend": self.blend}
 
     def extents(self) -> Float[Tensor, "k 2 d"]:
-        """Boxes of the parts."""
+        """Return the boxes of the parts."""
         parts: list[Shape] = list(self.parts)  # type: ignore[arg-type]
         return torch.stack([part.extent() for part in parts])
 
@@ -319,8 +329,14 @@ SHAPES: tuple[type[Shape], ...] = (
 )
 
 
+def _rounded(value: Tensor) -> float | list[float]:
+    """Return the numbers of a parameter to six digits, as text shows them."""
+    digits = [float(f"{number:.6g}") for number in value.detach().reshape(-1).tolist()]
+    return digits[0] if value.ndim == 0 else digits
+
+
 def _length(vectors: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
-    """|v|, with derivative 0 and not NaN where v = 0."""
+    """Return |v|, with derivative 0 and not NaN where v = 0."""
     return vectors.square().sum(dim=1).clamp(min=1e-30).sqrt()
 
 

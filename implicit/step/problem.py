@@ -115,9 +115,8 @@ def assemble(problem: StepProblem) -> LeastSquares:
             for rows in energy.rows(space):
                 system.add(rows)
         return system
-    # A sketch of the spectrum costs as many products as it has columns, each a forward and a backward pass: here
-    # plain conjugate gradients are through with less. Each step sees what the last one missed, so 1e-4 is enough.
-    system = LeastSquares(space.size, space.field.theta, rank=0, tolerance=1e-4)
+    # Each step sees what the last one missed, so 1e-4 is enough.
+    system = LeastSquares(space.size, space.field.theta, tolerance=1e-4)
     targets: list[NormalTarget | FieldTarget] = []
     for energy in energies:
         if not isinstance(energy, (NormalTarget, FieldTarget)):

@@ -24,7 +24,7 @@ Faces = NDArray[np.int64]
 
 
 def extract_mesh(field: Field, resolution: int = 128, *, memory_limit: float = MEMORY_LIMIT) -> tuple[Vertices, Faces]:
-    """The surface as a closed triangle mesh, its vertices placed on f = 0 by Newton's method.
+    """Return the surface as a closed triangle mesh, its vertices placed on f = 0 by Newton's method.
 
     Args:
         field: A field in 3D (triangles), or in 2D (segments).
@@ -51,7 +51,7 @@ def require_resolution(name: str, cells: int) -> None:
 def marched_surface(
     field: Field, resolution: int, memory_limit: float = MEMORY_LIMIT
 ) -> tuple[Float[Tensor, "n d"], Tensor]:
-    """As extract_mesh, but as tensors of the field's dtype and device."""
+    """Return the mesh of extract_mesh as tensors of the field's dtype and device."""
     require_field(field)
     require_resolution("resolution", resolution)
     require_positive("memory_limit", memory_limit if memory_limit != float("inf") else 1.0, "number of bytes")

@@ -46,7 +46,7 @@ class Grid:
 
     @classmethod
     def over(cls, field: Field, resolution: int) -> Grid:
-        """So many cells along the longest side of the bounds, the grid centred on them."""
+        """Return a grid of so many cells along the longest side of the bounds, centred on them."""
         cell = field.size / resolution
         lower, upper = field.bounds
         cells = [int(np.ceil(side / cell - 1e-9)) for side in (upper - lower).tolist()]
@@ -57,7 +57,7 @@ class Grid:
         return tuple(count + 1 for count in self.cells)
 
     def place(self, index: Tensor) -> Tensor:
-        """Where nodes are, or points between them, from their index."""
+        """Return the places of nodes, or of points between them, from their index."""
         return self.lower + self.cell * index.to(self.lower)
 
     def require_memory(self, limit: float) -> None:
@@ -70,7 +70,7 @@ class Grid:
 
 
 def march(field: Field, grid: Grid) -> tuple[Float[Tensor, "n d"], Int[Tensor, "m d"]]:
-    """Where the edges of the grid cross f = 0, about, and the triangles (3D) or segments (2D) that join them.
+    """Return about where the edges of the grid cross f = 0, and the triangles (3D) or segments (2D) that join them.
 
     Raises:
         SurfaceError: There is no zero set in the bounds, it leaves them, or the field is not finite.
@@ -105,7 +105,7 @@ class Chunks:
 
 
 def _spread(blocks: NDArray[np.float32], nodes: tuple[int, ...]) -> NDArray[np.float32]:
-    """What each node of a chunk has from the block after it; the last of the grid from the block before it."""
+    """Return for each node of a chunk the value of the block after it; the last of the grid has the one before it."""
     side = LEVELS[-1]
     chunk = np.empty((CHUNK_CELLS + side,) * 3, dtype=np.float32)
     room = chunk.reshape([part for n in blocks.shape for part in (n + 1, side)])
@@ -198,7 +198,7 @@ class _Blocks:
     side: int
     values: Float[Tensor, " n"]
     clear: Float[Tensor, " n"]  # about the middle the surface comes no nearer than this, a length
-    near: Bool[Tensor, " n"]  # whether the surface may run through the block
+    near: Bool[Tensor, " n"]  # true where the surface may run through the block
 
     @classmethod
     def evaluate(cls, field: Field, grid: Grid, index: Int[Tensor, "n 3"], side: int, steepest: _Steepest) -> _Blocks:

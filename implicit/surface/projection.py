@@ -28,8 +28,12 @@ def newton_to_surface(
         iterations: Most steps taken.
 
     Returns:
-        The points where they ended, and whether each arrived.
+        The points where they ended (N, D), and True for each that arrived (N,).
+
+    Raises:
+        ValueError: The points are not finite, or do not fit the field.
     """
+    field.require_points(points)
     if tolerance is None:
         tolerance = field.size * (1e-12 if field.dtype == torch.float64 else 1e-6)
     current = points.clone()
@@ -39,7 +43,7 @@ def newton_to_surface(
         if len(going) == 0:
             break
         x = current[going]
-        f, g = field.value_and_gradient(x)
+        f, g = field.value_and_gradient(x, validate=False)  # those that strayed or are not finite go no further
         square = (g * g).sum(dim=1)
         step = -(f / square.clamp(min=torch.finfo(f.dtype).tiny))[:, None] * g
         length = step.norm(dim=1)
@@ -54,7 +58,7 @@ def newton_to_surface(
         arrived[going[there]] = True
         going = going[~there & ~strayed]
     if len(going):  # rounding may hold the last digit above the tolerance: accept ten times as much
-        f, g = field.value_and_gradient(current[going])
+        f, g = field.value_and_gradient(current[going], validate=False)
         arrived[going] = f.abs() <= 10 * tolerance * g.norm(dim=1)
     return current, arrived
 
@@ -66,7 +70,7 @@ def project_to_surface(
 
     Args:
         points: Points (N, D) near the surface.
-        reach: Farthest way allowed, a length; None is half the size of the bounds.
+        reach: Largest distance a point may be moved, a length; None is half the size of the bounds.
         tolerance: Distance from the surface at which a point has arrived; None is 1e-12 of the field's size in
             float64 and 1e-6 in float32.
 

@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from implicit.arguments import counted, kind_of
 from implicit.field.field import Field, SurfaceError, require_field
 from implicit.surface.extraction import marched_surface
 from implicit.surface.projection import newton_to_surface
@@ -28,6 +29,14 @@ class SurfaceSample:
     """Points on the surface with outward unit normals and quadrature weights.
 
     sum(weights) is the area (the length, in the plane), and sum(weights * g(points)) the integral of g.
+
+    Attributes:
+        points: Points (N, D) in the field's coordinates.
+        normals: Outward unit normal at each.
+        weights: Area (or length) that each stands for.
+
+    Raises:
+        ValueError: The shapes of the three do not fit each other.
     """
 
     points: Float[Tensor, "n d"]
@@ -44,18 +53,24 @@ class SurfaceSample:
     def __len__(self) -> int:
         return len(self.points)
 
+    def __repr__(self) -> str:
+        n, dimension = self.points.shape
+        content = "area" if dimension == 3 else "length"
+        sum_of_weights = f"{content} {float(self.weights.sum()):.6g}"
+        return f"SurfaceSample: {counted(n, 'point')} in {dimension}D, {sum_of_weights} ({kind_of(self.points)})"
+
     def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> SurfaceSample:
-        """The same sample in another precision or on another device."""
+        """Return the same sample in another precision or on another device."""
         parts = (self.points, self.normals, self.weights)
         return SurfaceSample(*(part.to(dtype=dtype, device=device) for part in parts))
 
     def integrate(self, density: Float[Tensor, " n"]) -> float:
-        """Integral over the surface of a density given at the points."""
+        """Return the integral over the surface of a density given at the points, (N,)."""
         return float(self.weights @ density)
 
 
 def require_sample(field: Field, sample: SurfaceSample) -> SurfaceSample:
-    """The sample as given, or a clear refusal of what is no sample of this field's surface."""
+    """Return the sample as given, or refuse what is no sample of this field's surface."""
     require_field(field)
     if not isinstance(sample, SurfaceSample):
         raise TypeError(
@@ -74,14 +89,18 @@ class MeshedSample:
     vertices: Float[Tensor, "v d"]  # on the surface
     faces: Int[Tensor, "m d"]  # corners of the cells
 
+    def __repr__(self) -> str:
+        cells = counted(len(self.faces), "triangle" if self.faces.shape[1] == 3 else "segment")
+        return f"MeshedSample: {cells} on {len(self.vertices):,} vertices\n  {self.sample!r}"
+
 
 def surface_quadrature(field: Field, resolution: int = 64, *, exact_points: bool = False) -> SurfaceSample:
-    """A fourth-order quadrature of the surface.
+    """Return a fourth-order quadrature of the surface.
 
     Args:
-        field: In 3D, or in 2D for a curve.
+        field: A field in 3D, or in 2D for a curve.
         resolution: Cells along the longest side of the bounds.
-        exact_points: Whether the points are moved from the curved cells to the surface, a way of third order in the
+        exact_points: True moves the points from the curved cells to the surface, a distance of third order in the
             cell. Left on the cells, with the cells' normals, they cost a third and give volumes ten times better.
 
     Returns:
@@ -95,7 +114,7 @@ def surface_quadrature(field: Field, resolution: int = 64, *, exact_points: bool
 
 
 def meshed_quadrature(field: Field, resolution: int) -> MeshedSample:
-    """As surface_quadrature, its points left on the cells, with the corners of the cells as a mesh."""
+    """Return the quadrature of surface_quadrature, its points left on the cells, with the cells as a mesh."""
     corners, cells = marched_surface(field, resolution)
     nodes = _with_middle_nodes(field, corners, cells, 2 * field.size / resolution)
     points, normals, weights = _curved_rule(nodes)
@@ -104,7 +123,7 @@ def meshed_quadrature(field: Field, resolution: int) -> MeshedSample:
 
 
 def curved_cells(field: Field, resolution: int) -> Float[Tensor, "m k d"]:
-    """Nodes of quadratic cells on the surface: six of a triangle, or in the plane three of a segment."""
+    """Return the nodes of quadratic cells on the surface: six of a triangle, or in the plane three of a segment."""
     corners, cells = marched_surface(field, resolution)
     return _with_middle_nodes(field, corners, cells, 2 * field.size / resolution)
 
@@ -112,7 +131,7 @@ def curved_cells(field: Field, resolution: int) -> Float[Tensor, "m k d"]:
 def cell_points(
     nodes: Float[Tensor, "m k d"], at: Float[Tensor, "m t"]
 ) -> tuple[Float[Tensor, "m d"], Float[Tensor, "m d"]]:
-    """One point in each quadratic cell, and the vector of its normal times the area (or length) it stands for.
+    """Return one point in each quadratic cell, and the vector of its normal times the area (or length) it stands for.
 
     Args:
         nodes: As curved_cells gives them.
@@ -128,7 +147,7 @@ def cell_points(
 
 
 def placed(field: Field, points: Float[Tensor, "n d"], weights: Float[Tensor, " n"], reach: float) -> SurfaceSample:
-    """The points moved the last bit to f = 0, with normals; the way is of higher order than the weights' error."""
+    """Return the points moved to f = 0, with normals; the distance is of higher order than the weights' error."""
     points, arrived = newton_to_surface(field, points, reach=reach)
     if not bool(arrived.all()):
         lost = float(weights[~arrived].sum() / weights.sum())

@@ -39,21 +39,23 @@ def sample_surface(
     seed: int = 0,
     generator: torch.Generator | None = None,
 ) -> SurfaceSample:
-    """n random points on the surface.
+    """Return n random points on the surface.
 
     Args:
-        n: How many points.
+        field: The field.
+        n: Number of points.
         method: "stratified" puts one point in each of n strips of equal area along a space-filling curve, so neighbours
             keep apart and integrals converge faster; "uniform" draws independent points, uniform over the area;
-            "farthest" thins stratified points, six times as many, by farthest-point selection: the most even, and
+            "farthest" chooses of stratified points, six times as many, by farthest-point selection: the most even, and
             the fewest for the same error of an edit, at a cost that grows with n^2;
-            "rejection" is the paper's: points of the bounds near the surface, projected, thinned by farthest-point
-            selection to n.
+            "rejection" is the paper's: points of the bounds near the surface, projected, of which
+            farthest-point selection chooses n.
         density: Points (N, D) to positive numbers (N,), as many points an area relative to elsewhere: draws more
-            where detail is asked for, `lambda x: 1 + 9 * Ball(center, radius)(x)`. For "stratified" and "uniform".
+            where more detail is needed, `lambda x: 1 + 9 * Ball(center, radius)(x)`. For "stratified" and "uniform".
         resolution: Cells along the longest side of the bounds for the cells that are sampled; for "rejection" it
             sets the width of the band, two cells.
-        seed: Of the random choice, unless a generator is given.
+        seed: Seed of the random choice, unless a generator is given.
+        generator: Source of the random choice; None starts one with the seed.
 
     Returns:
         Points on the surface with weights that sum to its area: equal ones, with a density inverse to it, for
@@ -109,7 +111,7 @@ def sample_surface(
 def carrying_points(
     field: Field, points: int | SurfaceSample, method: SampleMethod = "stratified", *, seed: int = 0
 ) -> SurfaceSample:
-    """The points that carry an edit: the sample itself, or so many drawn from the surface."""
+    """Return the points that carry an edit: the sample itself, or so many drawn from the surface."""
     if isinstance(points, SurfaceSample):
         field.require_points(points.points, "points")
         return points
@@ -118,13 +120,13 @@ def carrying_points(
 
 
 def transport(field: Field, sample: SurfaceSample, displacement: Float[Tensor, "n d"]) -> SurfaceSample:
-    """A sample moved along a displacement and put back on a surface, of the edited field say.
+    """Return a sample moved along a displacement and put back on a surface, of the edited field say.
 
     Args:
-        field: On whose surface the points are to lie.
+        field: The field on whose surface the points are to lie.
         sample: Points of the surface before.
-        displacement: Of each point (N, D); it has to lead to within its own length, or a hundredth of the field's
-            size, of the new surface.
+        displacement: Displacement of each point (N, D), a length; it has to lead to within its own length, or a
+            hundredth of the field's size, of the new surface.
 
     Returns:
         Points and normals of the new surface. The weights are those of before: they integrate over the surface
@@ -141,7 +143,7 @@ def transport(field: Field, sample: SurfaceSample, displacement: Float[Tensor, "
 
 
 def _farthest(sample: SurfaceSample, n: int) -> SurfaceSample:
-    """n of the points by farthest-point selection, each with the weights of those nearest to it."""
+    """Return n of the points by farthest-point selection, each with the weights of those nearest to it."""
     order = farthest_order(sample.points, n)
     points = sample.points[order]
     nearest = torch.from_numpy(cKDTree(points.cpu().numpy()).query(sample.points.cpu().numpy())[1]).to(order)
@@ -150,7 +152,7 @@ def _farthest(sample: SurfaceSample, n: int) -> SurfaceSample:
 
 
 def _cell_densities(density: Callable[[Tensor], Tensor], nodes: Tensor) -> Tensor:
-    """The density at the middle of each cell."""
+    """Return the density at the middle of each cell."""
     dense = density(nodes.mean(dim=1))
     if not isinstance(dense, Tensor) or dense.shape != nodes.shape[:1]:
         came = tuple(dense.shape) if isinstance(dense, Tensor) else type(dense).__name__
@@ -164,8 +166,8 @@ def _cell_densities(density: Callable[[Tensor], Tensor], nodes: Tensor) -> Tenso
     return dense
 
 
-def thinned(field: Field, sample: SurfaceSample, n: int, *, seed: int = 0) -> SurfaceSample:
-    """n points of a quadrature, one from each of n strips of equal area, moved to the surface.
+def subsample(field: Field, sample: SurfaceSample, n: int, *, seed: int = 0) -> SurfaceSample:
+    """Return n points of a quadrature, one from each of n strips of equal area, moved to the surface.
 
     As even as a fresh sample, for a fraction of its cost. A quadrature of fewer than 4 n points is too coarse to choose
     from; then the sample is a fresh one.
@@ -178,14 +180,14 @@ def thinned(field: Field, sample: SurfaceSample, n: int, *, seed: int = 0) -> Su
 
 
 def _one_a_strip(amounts: Float[Tensor, " m"], n: int, generator: torch.Generator) -> Tensor:
-    """Which of the amounts laid end to end holds a random place in each of n strips of equal length."""
+    """Return the index of the amount, all laid end to end, at a random place in each of n strips of equal length."""
     within = torch.rand(n, generator=generator, dtype=torch.float64).to(amounts)
     place = (torch.arange(n, device=amounts.device) + within) * (amounts.sum() / n)
     return torch.searchsorted(amounts.cumsum(0), place).clamp(max=len(amounts) - 1)
 
 
 def _cell_areas(nodes: Tensor) -> tuple[Tensor, Tensor]:
-    """Area (or length) of each quadratic cell, and a bound on its area element per unit of barycentric area.
+    """Return the area (or length) of each quadratic cell, and a bound on its area element per unit of barycentric area.
 
     The element is sampled on a lattice of the cell; a tenth on top covers what varies between.
     """
@@ -209,7 +211,7 @@ def _cell_areas(nodes: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _by_rejection(field: Field, n: int, resolution: int, generator: torch.Generator) -> SurfaceSample:
-    """The paper's sampling: draw in the bounds, keep a band about the surface, project, thin out [appendix]."""
+    """Sample as the paper does: draw in the bounds, keep a band about the surface, project, select [appendix]."""
     band = 2 * field.size / resolution
     lower, upper = field.bounds
     kept: list[Tensor] = []
@@ -240,7 +242,7 @@ def _by_rejection(field: Field, n: int, resolution: int, generator: torch.Genera
 
 
 def farthest_order(points: Float[Tensor, "m d"], n: int) -> Tensor:
-    """Indices of n of the points, each the farthest from those before it; the first is the first."""
+    """Return the indices of n of the points, each the farthest from those before it; the first is the first."""
     distance = torch.full_like(points[:, 0], float("inf"))
     chosen = torch.zeros(n, dtype=torch.long, device=points.device)
     for k in range(1, n):
@@ -250,7 +252,7 @@ def farthest_order(points: Float[Tensor, "m d"], n: int) -> Tensor:
 
 
 def _uniform_barycentric(n: int, dimension: int, generator: torch.Generator) -> Tensor:
-    """The last barycentric coordinates of n points uniform in a triangle (two), or in a segment (one)."""
+    """Return the last barycentric coordinates of n points uniform in a triangle (two), or in a segment (one)."""
     u = torch.rand(n, dimension - 1, generator=generator, dtype=torch.float64)
     if dimension == 2:
         return u
@@ -259,7 +261,7 @@ def _uniform_barycentric(n: int, dimension: int, generator: torch.Generator) -> 
 
 
 def _space_filling_order(centers: Tensor, field: Field) -> Tensor:
-    """Order along the Morton curve, ten bits a coordinate."""
+    """Return the order along the Morton curve, ten bits a coordinate."""
     unit = (centers - field.bounds[0]) / (field.bounds[1] - field.bounds[0])
     cells = (unit.clamp(0, 1) * 1023).long()
     code = torch.zeros(len(centers), dtype=torch.long, device=centers.device)

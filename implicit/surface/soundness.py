@@ -1,4 +1,4 @@
-"""Whether a field is still a field after an edit: its slope near the surface, and the pieces of its surface.
+"""Soundness of a field after an edit: its slope near the surface, and the pieces of its surface.
 
 Where |df/dx| vanishes the surface is about to tear, and where it is steep sphere tracing and sampling slow down. An
 edit asks for the surface alone, so both are measured, beside the pieces and the Euler number.
@@ -10,22 +10,24 @@ from dataclasses import dataclass
 
 import torch
 
+from implicit.arguments import counted
 from implicit.field.field import Field
 from implicit.surface.extraction import marched_surface
 from implicit.surface.topology import Topology, mesh_topology
 
-# Of a cell's area (or length): a smaller piece is none. The one seen so far, on the ear of a rabbit, had 4e-5.
-SPECK = 1e-2
+# Share of a cell's area (or length) below which a component is spurious. The one seen so far, on the ear of a rabbit,
+# had 4e-5.
+SPURIOUS = 1e-2
 
 
 @dataclass(frozen=True)
 class Soundness:
-    """A field near its surface.
+    """Measures of a field near its surface.
 
     Attributes:
-        topology: Pieces, Euler number and areas of the surface, as extracted.
-        pieces: Those that are no specks: marching cubes cuts off slivers at thin tips, of no area once their vertices
-            are on the surface.
+        topology: Components, Euler number and areas of the surface, as extracted.
+        pieces: Components that are not spurious: marching cubes cuts off slivers at thin tips, of no area once their
+            vertices are on the surface.
         slope_low, slope_median, slope_high: 1st, 50th and 99th percentile of |df/dx| near the surface, in units of
             the field a length. For a distance they are 1.
     """
@@ -36,11 +38,19 @@ class Soundness:
     slope_median: float
     slope_high: float
 
+    def __repr__(self) -> str:
+        slopes = f"{self.slope_low:.3g}, {self.slope_median:.3g}, {self.slope_high:.3g}"
+        return (
+            f"Soundness: {counted(self.pieces, 'piece')}, Euler number {self.topology.euler}; |df/dx| near the surface "
+            f"{slopes} (1st, 50th, 99th percentile)"
+        )
+
 
 def field_soundness(field: Field, resolution: int = 48) -> Soundness:
     """Measure a field on its extracted surface, and at one cell of the grid to both sides of it.
 
     Args:
+        field: The field.
         resolution: Cells along the longest side of the bounds; pieces smaller than a cell go unseen.
 
     Raises:
@@ -52,7 +62,7 @@ def field_soundness(field: Field, resolution: int = 48) -> Soundness:
     normals = field.normal(points)
     slopes = field.gradient(torch.cat([points, points + cell * normals, points - cell * normals])).norm(dim=1)
     low, median, high = (float(torch.quantile(part, q)) for part, q in _quantiles(slopes))
-    pieces = sum(area > SPECK * cell ** (field.dimension - 1) for area in topology.areas)
+    pieces = sum(area > SPURIOUS * cell ** (field.dimension - 1) for area in topology.areas)
     return Soundness(topology, pieces, low, median, high)
 
 
@@ -61,7 +71,7 @@ def _quantiles(slopes: torch.Tensor) -> list[tuple[torch.Tensor, float]]:
 
 
 def changes(before: Soundness, after: Soundness) -> tuple[str, ...]:
-    """What a reader must know of the difference, a sentence each; none where the field is as sound as before."""
+    """Return what a reader must know of the difference, a sentence each; none where the field is as sound as before."""
     notes = []
     old, new = before.topology, after.topology
     if after.pieces > before.pieces:

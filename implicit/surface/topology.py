@@ -13,6 +13,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from implicit.arguments import counted
 from implicit.field.field import Field
 from implicit.surface.extraction import Faces, Vertices, extract_mesh
 
@@ -30,6 +31,10 @@ class Topology:
     components: int
     euler: int
     areas: tuple[float, ...]
+
+    def __repr__(self) -> str:
+        largest = ", ".join(f"{area:.4g}" for area in self.areas[:3]) + (", ..." if len(self.areas) > 3 else "")
+        return f"Topology: {counted(self.components, 'component')}, Euler number {self.euler}, areas {largest}"
 
     def same_type(self, other: Topology) -> bool:
         """Return whether both have as many pieces and the same Euler number."""

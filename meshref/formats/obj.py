@@ -11,7 +11,7 @@ from meshref.topology import FloatArray, IntArray
 
 
 def read(content: bytes) -> tuple[FloatArray, IntArray]:
-    """Vertices and triangles of a file's content."""
+    """Return vertices and triangles of a file's content."""
     plain = _read_plain(content)
     if plain is not None:
         return plain
@@ -36,7 +36,7 @@ def read(content: bytes) -> tuple[FloatArray, IntArray]:
 
 
 def _read_plain(content: bytes) -> tuple[FloatArray, IntArray] | None:
-    """The usual file, of triangles counted from 1 with no more at their corners, in a fifth of the time; else None.
+    """Return the usual file, triangles counted from 1 with no more at their corners, in a fifth of the time; or None.
 
     Whatever is out of the ordinary, damage included, is left to the reader that goes line by line.
     """
@@ -58,6 +58,6 @@ def _read_plain(content: bytes) -> tuple[FloatArray, IntArray] | None:
 
 
 def written(V: FloatArray, F: IntArray) -> bytes:
-    """The content of a file, whose coordinates come back to the last bit."""
+    """Return the content of a file, whose coordinates come back to the last bit."""
     corners = [f"f {a} {b} {c}" for a, b, c in (F + 1).tolist()]
     return "\n".join([*(f"v {point}" for point in exact(V)), *corners, ""]).encode()

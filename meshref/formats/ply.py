@@ -16,7 +16,7 @@ TYPES = {
 
 
 def read(content: bytes) -> tuple[FloatArray, IntArray]:
-    """Vertices and triangles of a file's content."""
+    """Return vertices and triangles of a file's content."""
     if not content.startswith(b"ply"):
         raise DamageError("it must begin with the word ply")
     end = content.find(b"end_header")
@@ -174,7 +174,7 @@ class Binary:
 
 
 def written(V: FloatArray, F: IntArray, quality: FloatArray | None = None) -> bytes:
-    """The content of a binary file, with a number for each vertex if there is one."""
+    """Return the content of a binary file, with a number for each vertex if there is one."""
     names = ["x", "y", "z"] + ([] if quality is None else ["quality"])
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(V)}"]
     header += [f"property double {name}" for name in names]

@@ -6,13 +6,14 @@ import numpy as np
 
 from meshref.check import MeshError, place
 from meshref.formats.text import DamageError, lines_of, numbers
+from meshref.measures import doubled_area_vectors, unit_or_zero
 from meshref.topology import FloatArray, IntArray
 
 ROW = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
 def read(content: bytes) -> tuple[FloatArray, IntArray]:
-    """Vertices, one for all equal corners, and triangles of a file's content."""
+    """Return vertices, one for all equal corners, and triangles of a file's content."""
     count = int.from_bytes(content[80:84], "little")
     # The length decides: binary files beginning with the word "solid" are common.
     if len(content) >= 84 and len(content) == 84 + count * ROW.itemsize:
@@ -30,7 +31,7 @@ def read(content: bytes) -> tuple[FloatArray, IntArray]:
 
 
 def merge_equal(V: FloatArray, F: IntArray) -> tuple[FloatArray, IntArray]:
-    """One vertex for all that have equal coordinates, in the order of their first appearance."""
+    """Return one vertex for all that have equal coordinates, in the order of their first appearance."""
     _, first, of_vertex = np.unique(V + 0.0, axis=0, return_index=True, return_inverse=True)  # -0 becomes 0
     order = np.argsort(first)
     rank = np.empty_like(order)
@@ -39,14 +40,12 @@ def merge_equal(V: FloatArray, F: IntArray) -> tuple[FloatArray, IntArray]:
 
 
 def written(V: FloatArray, F: IntArray) -> bytes:
-    """The content of a binary file."""
+    """Return the content of a binary file."""
     largest = np.abs(V).max()
     if largest > np.finfo(np.float32).max:
         far = V[np.abs(V).max(axis=1).argmax()]
         raise MeshError(f"the point {place(far)} is too far away for the single precision of .stl. Write .ply instead.")
     rows = np.zeros(len(F), dtype=ROW)
     rows["corners"] = V[F]
-    normal = np.cross(V[F[:, 1]] - V[F[:, 0]], V[F[:, 2]] - V[F[:, 0]])
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    rows["normal"] = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
+    rows["normal"] = unit_or_zero(doubled_area_vectors(V, F))
     return b"written by meshref".ljust(80) + len(F).to_bytes(4, "little") + rows.tobytes()

@@ -1,4 +1,4 @@
-"""What the readers share: words of a text by lines, numbers among them, and polygons as triangles."""
+"""Parts that the readers share: words of a text by lines, numbers among them, and polygons as triangles."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from meshref.topology import FloatArray, IntArray
 
 
 class DamageError(Exception):
-    """What is wrong inside a file; read_mesh adds the name of the file."""
+    """A fault inside a file; read_mesh adds the name of the file."""
 
 
 def lines_of(content: bytes) -> Iterator[tuple[int, list[str]]]:
-    """The words of each line that has any, with its number; what follows a # is left out."""
+    """Yield the words of each line that has any, with its number; what follows a # is left out."""
     for number, line in enumerate(content.decode("latin-1").splitlines(), start=1):
         words = line.split("#", 1)[0].split()
         if words:
@@ -22,7 +22,7 @@ def lines_of(content: bytes) -> Iterator[tuple[int, list[str]]]:
 
 
 def numbers(words: list[str], line: int, kind: Callable[[str], float]) -> list[float]:
-    """Words of a line as numbers."""
+    """Return words of a line as numbers."""
     try:
         return [kind(word) for word in words]
     except ValueError:
@@ -30,7 +30,7 @@ def numbers(words: list[str], line: int, kind: Callable[[str], float]) -> list[f
 
 
 def as_mesh(vertices: list[list[float]], polygons: list[list[int]]) -> tuple[FloatArray, IntArray]:
-    """Arrays of vertices and of polygons, each split into a fan of triangles."""
+    """Return arrays of vertices and of polygons, each split into a fan of triangles."""
     V = np.array(vertices, dtype=np.float64).reshape(-1, 3)
     fans = [[p[0], p[k], p[k + 1]] for p in polygons for k in range(1, len(p) - 1)]
     try:
@@ -40,5 +40,5 @@ def as_mesh(vertices: list[list[float]], polygons: list[list[int]]) -> tuple[Flo
 
 
 def exact(V: FloatArray) -> list[str]:
-    """A line for each vertex; repr is the shortest text that comes back to the last bit."""
+    """Return a line for each vertex; repr is the shortest text that comes back to the last bit."""
     return [" ".join(map(repr, point)) for point in V.tolist()]

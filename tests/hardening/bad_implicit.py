@@ -413,9 +413,11 @@ def _of_handles() -> Iterator[BadCase]:
         ("above one", lambda x: 2 + x[:, 0]),
         ("NaN", lambda x: x[:, 0] * np.nan),
         ("of nothing", lambda x: None),
-        ("off the surface", implicit.Ball((5, 5, 5), 0.1)),
     ]
     yield from refusals("Handle", "region", regions, lambda x: edit(implicit.Handle(x, (0, 0, 1))))
+    away: list[Bad] = [("off the surface", implicit.Ball((5, 5, 5), 0.1))]
+    missed = ("No point of the surface lies in the region of handles[0]", "move or widen the region")
+    yield from refusals("Handle", "region", away, lambda x: edit(implicit.Handle(x, (0, 0, 1))), *missed)
     handles: list[Bad] = [
         ("none", []),
         ("None", None),
@@ -469,7 +471,7 @@ def _of_edits() -> Iterator[BadCase]:
     yield from refusals(
         "geometric_edit", "rest", [*choices()[:1], *not_negatives()[:3], ("None", None)], _geometric("rest")
     )
-    yield from refusals("geometric_edit", "parts", counts(), _geometric("parts"))
+    yield from refusals("geometric_edit", "steps", counts(), _geometric("steps"))
     cosines: list[Bad] = [("one", 1.0), ("negative", -0.5), ("NaN", np.nan), ("a word", "steep")]
     yield from refusals("geometric_edit", "least_alignment", cosines, _geometric("least_alignment"))
     yield from refusals("geometric_edit", "off_surface_strength", not_negatives(), _geometric("off_surface_strength"))
@@ -495,7 +497,7 @@ def _of_edits() -> Iterator[BadCase]:
     yield from refusals("smooth", "where", [("a word", "top"), ("a number", 3)], _smooth("where"))
     yield from refusals("smooth", "until", [("a word", "round"), ("a number", 3)], _smooth("until"))
     yield from refusals("smooth", "holding", [("a word", "rows")], _smooth("holding"))
-    yield from refusals("smooth", "off", not_negatives(), _smooth("off"))
+    yield from refusals("smooth", "off_surface_strength", not_negatives(), _smooth("off_surface_strength"))
     yield from refusals("smooth", "restore", not_negatives(), _smooth("restore"))
     yield from refusals("smooth", "directions", counts(), _smooth("directions"))
     yield from refusals(
@@ -538,7 +540,7 @@ def _of_edits() -> Iterator[BadCase]:
     yield from refusals("semantic_edit", "damping", not_negatives(), _semantic("damping"))
     for name in ("stride", "trust_region"):
         yield from refusals("semantic_edit", name, positives(), _semantic(name))
-    for name in ("least_cosine", "tolerance"):
+    for name in ("least_alignment", "tolerance"):
         yield from refusals("semantic_edit", name, [("two", 2.0), *not_negatives()], _semantic(name))
     yield from refusals("semantic_edit", "prior", [("a word", "gauss")], _semantic("prior"))
     codes = torch.randn(5, 4, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
@@ -556,7 +558,7 @@ def _of_edits() -> Iterator[BadCase]:
     yield from refusals("CodePrior.of", "weight", not_negatives(), lambda x: implicit.CodePrior.of(codes, x))
     yield from refusals("prescribe", "points", counts(), lambda x: implicit.prescribe(BALL, HANDLE, x))
     yield from refusals("prescribe", "resolution", counts(4), lambda x: implicit.prescribe(BALL, HANDLE, resolution=x))
-    yield from refusals("expressibility", "parts", counts(), lambda x: implicit.expressibility(BALL, HANDLE, parts=x))
+    yield from refusals("expressibility", "steps", counts(), lambda x: implicit.expressibility(BALL, HANDLE, steps=x))
     yield from refusals("expressibility", "points", counts(), lambda x: implicit.expressibility(BALL, HANDLE, points=x))
     yield from refusals(
         "expressibility", "damping", not_negatives(), lambda x: implicit.expressibility(BALL, HANDLE, damping=x)

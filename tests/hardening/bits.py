@@ -56,13 +56,13 @@ RUNS: dict[str, Callable[[], object]] = {
     "sample rejection": lambda: implicit.sample_surface(BULB, 20, "rejection", resolution=16, seed=3),
     "quadrature": lambda: implicit.surface_quadrature(BULB, 16),
     "extract": lambda: implicit.extract_mesh(BULB, 16),
-    "geometric": lambda: implicit.geometric_edit(BALL, BUMP, parts=2, **SMALL),
+    "geometric": lambda: implicit.geometric_edit(BALL, BUMP, steps=2, **SMALL),
     "rigid": lambda: implicit.rigid_edit(
         BULB, [TOP, FOOT], tangential=CosineFeatures(BULB, waves=40), constraints=[implicit.Volume()], **SMALL
     ),
     "smooth": lambda: implicit.smooth(BULB, steps=2, step_size=1e-4, constraints=[implicit.Volume()], **SMALL),
     "semantic": semantic,
-    "expressibility": lambda: implicit.expressibility(BALL, BUMP, parts=2, points=100).error,
+    "expressibility": lambda: implicit.expressibility(BALL, BUMP, steps=2, points=100).error,
     "trained step": lambda: (
         implicit.trained_rigid_step(
             BULB, [TOP, FOOT], iterations=5, points=50, tangential=CosineFeatures(BULB, waves=40)
@@ -87,25 +87,29 @@ TIMES = ("seconds", "seconds_solve", "seconds_start")
 
 def bits(value: Any, digest: Any) -> None:
     """Feed all numbers in a result to the hash, but not how long it took."""
-    if isinstance(value, torch.Tensor):
-        value = value.detach().numpy()
+    value = _plain(value)
     if isinstance(value, np.ndarray):
         digest.update(np.ascontiguousarray(value).tobytes())
-    elif isinstance(value, implicit.Field):
-        bits(value.theta, digest)
     elif isinstance(value, Mapping):
         for name in value:
             if name not in TIMES:
                 bits([name, value[name]], digest)
-    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
-        bits({part.name: getattr(value, part.name) for part in dataclasses.fields(value)}, digest)
-    elif hasattr(value, "_asdict"):
-        bits(value._asdict(), digest)
     elif isinstance(value, list | tuple):
         for part in value:
             bits(part, digest)
     elif isinstance(value, Enum) or not callable(value):
         digest.update(repr(value).encode())
+
+
+def _plain(value: Any) -> Any:
+    """Return a field or tensor as an array, and a record as a mapping of its parts."""
+    if isinstance(value, implicit.Field):
+        value = value.theta
+    if isinstance(value, torch.Tensor):
+        return value.detach().numpy()
+    if dataclasses.is_dataclass(value) and not isinstance(value, type | Mapping):
+        return {part.name: getattr(value, part.name) for part in dataclasses.fields(value)}
+    return value._asdict() if hasattr(value, "_asdict") else value
 
 
 def hash_of(run: Callable[[], object]) -> str:

@@ -49,7 +49,7 @@ def test_geometric_edits_agree(pair, points):
     edits = []
     for field in pair:
         sample = sample_surface(pair[0], points).to(device=field.device)
-        edits.append(geometric_edit(field, BUMP, parts=2, points=sample))
+        edits.append(geometric_edit(field, BUMP, steps=2, points=sample))
     assert edits[1].field.theta.is_cuda
     torch.testing.assert_close(edits[1].displacement.cpu(), edits[0].displacement, rtol=0, atol=1e-4 * 0.03)
 

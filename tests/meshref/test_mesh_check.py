@@ -30,39 +30,37 @@ def test_lists_other_types_and_orders_are_converted():
         np.testing.assert_array_equal(checked_F, F)
 
 
+def _with(array, at, value):
+    """A copy with one entry changed."""
+    changed = np.array(array)
+    changed[at] = value
+    return changed
+
+
+BREAK = {
+    "nan": lambda V, F: (_with(V, (7, 1), np.nan), F),
+    "infinite": lambda V, F: (_with(V, (3, 0), np.inf), F),
+    "too large an index": lambda V, F: (V, _with(F, (5, 2), len(V))),
+    "negative index": lambda V, F: (V, _with(F, (5, 2), -1)),
+    "unreferenced": lambda V, F: (np.concatenate([V, [[0, 0, 0]]]), F),
+    "repeated corner": lambda V, F: (V, _with(F, (4, 1), F[4, 0])),
+    "flat": lambda V, F: (
+        np.concatenate([V, [(V[F[0, 0]] + V[F[0, 1]]) / 2]]),
+        np.concatenate([F, [[F[0, 0], F[0, 1], len(V)]]]),
+    ),
+    "fractions": lambda V, F: (V, F + 0.5),
+    "2d": lambda V, F: (V[:, :2], F),
+    "quads": lambda V, F: (V, np.zeros((2, 4), dtype=int)),
+    "no faces": lambda V, F: (V, F[:0]),
+    "no vertices": lambda V, F: (V[:0], F),
+    "complex": lambda V, F: (V + 1j, F),
+    "words": lambda V, F: (np.full(V.shape, "x"), F),
+    "ragged": lambda V, F: ([[0, 0, 0], [1, 0]], F),
+}
+
+
 def broken(what):
-    V, F = icosphere(1)
-    if what == "nan":
-        V[7, 1] = np.nan
-    elif what == "infinite":
-        V[3, 0] = np.inf
-    elif what == "too large an index":
-        F[5, 2] = len(V)
-    elif what == "negative index":
-        F[5, 2] = -1
-    elif what == "unreferenced":
-        V = np.concatenate([V, [[0, 0, 0]]])
-    elif what == "repeated corner":
-        F[4, 1] = F[4, 0]
-    elif what == "flat":
-        V, F = np.concatenate([V, [(V[F[0, 0]] + V[F[0, 1]]) / 2]]), np.concatenate([F, [[F[0, 0], F[0, 1], len(V)]]])
-    elif what == "fractions":
-        F = F + 0.5
-    elif what == "2d":
-        V = V[:, :2]
-    elif what == "quads":
-        F = np.zeros((2, 4), dtype=int)
-    elif what == "no faces":
-        F = F[:0]
-    elif what == "no vertices":
-        V = V[:0]
-    elif what == "complex":
-        V = V + 1j
-    elif what == "words":
-        V = np.full(V.shape, "x")
-    elif what == "ragged":
-        V = [[0, 0, 0], [1, 0]]
-    return V, F
+    return BREAK[what](*icosphere(1))
 
 
 @pytest.mark.parametrize(

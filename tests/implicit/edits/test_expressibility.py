@@ -36,25 +36,25 @@ def test_what_a_sphere_cannot_do_is_the_part_beyond_its_four_harmonics():
 
 
 def test_the_prediction_is_what_a_small_edit_achieves(wobbly):
-    """For a displacement so small that everything is linear, at a given damping, in one part and in four."""
+    """For a displacement so small that everything is linear, at a given damping, in one step and in four."""
     handle = Handle(Ball((0, 0, 0.5), 0.1, falloff=0.2), Along(1e-4))
     sample = sample_surface(wobbly, 1500, seed=1)
-    for parts in (1, 4):
-        options = {"parts": parts, "points": 1500, "damping": 1e-4}
+    for steps in (1, 4):
+        options = {"steps": steps, "points": 1500, "damping": 1e-4}
         found = expressibility(wobbly, handle, **options)
         assert found.rms == pytest.approx(rms(geometric_edit(wobbly, handle, **options), sample), rel=0.01)
 
 
-def test_more_parts_come_closer(wobbly):
+def test_more_steps_come_closer(wobbly):
     handle = Handle(Ball((0, 0, 0.5), 0.1, falloff=0.2), Along(0.05))
-    found = [expressibility(wobbly, handle, parts=parts, points=1000, damping=1e-4) for parts in (1, 16)]
+    found = [expressibility(wobbly, handle, steps=steps, points=1000, damping=1e-4) for steps in (1, 16)]
     assert found[1].rms < found[0].rms
 
 
 def test_an_edge_is_refused_and_the_edit_misses_as_much_as_was_said(spot):
     """A region without falloff asks for a step, which three layers of sines do not have."""
     step = Handle(Ball((-0.3, -0.08, 0.25), 0.15), Along(0.04))
-    options = {"parts": 2, "points": 2500}
+    options = {"steps": 2, "points": 2500}
     found = expressibility(spot, step, **options)
     edit = geometric_edit(spot, step, **options)
     sample = sample_surface(spot, 2500, seed=1)
@@ -72,13 +72,18 @@ def test_a_scaled_field_can_do_the_same():
 
 def test_free_points_have_no_target(wobbly):
     handle = Handle(HalfSpace((0, 0, 0.2), (0, 0, 1)), Along(0.02))
-    found = expressibility(wobbly, handle, rest="free", points=500, parts=2)
+    found = expressibility(wobbly, handle, rest="free", points=500, steps=2)
     assert bool(torch.isnan(found.error[found.points[:, 2] < 0.19]).all())
     assert basis(wobbly, found.points[:1]).shape[1] >= found.rank > 0
+    assert repr(found).startswith(
+        f"Expressibility: {found.verdict.name} in 2 steps, at 500 points in 3D (float64, cpu)\n"
+    )
+    assert f"error {found.rms:.3g} rms, {found.largest:.3g} at most" in repr(found)
+    assert len(repr(found).splitlines()) == 2
 
 
 def test_bad_input_is_refused(wobbly):
-    with pytest.raises(ValueError, match="parts must be at least 1"):
-        expressibility(wobbly, Handle(EVERYWHERE, Along(0.1)), parts=0)
+    with pytest.raises(ValueError, match="steps must be at least 1"):
+        expressibility(wobbly, Handle(EVERYWHERE, Along(0.1)), steps=0)
     with pytest.raises(ValueError, match="No point of the surface lies in the region"):
         expressibility(wobbly, Handle(Ball((5, 5, 5), 0.1), Along(0.1)), points=200)

@@ -34,10 +34,10 @@ def bump(field, height=0.1):
     return Handle(Ball((0, 0, 0.5), 0.15, falloff=0.35), Along(height))
 
 
-@pytest.mark.parametrize("parts", [1, 4])
-def test_a_sphere_grows_exactly(parts):
+@pytest.mark.parametrize("steps", [1, 4])
+def test_a_sphere_grows_exactly(steps):
     field = shapes.sphere(radius=0.5)
-    edit = geometric_edit(field, Handle(EVERYWHERE, Along(0.1)), parts=parts, points=300)
+    edit = geometric_edit(field, Handle(EVERYWHERE, Along(0.1)), steps=steps, points=300)
     assert edit.status is EditStatus.DONE
     assert float(edit.error_field().abs().max()) < 1e-6
     assert Volume().value(edit.field, surface_quadrature(edit.field, 48)) == pytest.approx(
@@ -48,7 +48,7 @@ def test_a_sphere_grows_exactly(parts):
 def test_a_sphere_moves_as_a_whole():
     """A translation is not a motion along the normal; the field must still end in the right place."""
     field = shapes.sphere(radius=0.4)
-    edit = geometric_edit(field, Handle(EVERYWHERE, (0.2, 0.0, -0.1)), parts=4, points=300, **ALONE)
+    edit = geometric_edit(field, Handle(EVERYWHERE, (0.2, 0.0, -0.1)), steps=4, points=300, **ALONE)
     center = (edit.tracked if edit.tracked is not None else edit.points + edit.displacement).mean(dim=0)
     assert float(edit.error_field().abs().max()) < 1e-6
     torch.testing.assert_close(
@@ -57,7 +57,7 @@ def test_a_sphere_moves_as_a_whole():
 
 
 def test_a_bump_is_raised_and_the_rest_stays(wobbly):
-    edit = geometric_edit(wobbly, bump(wobbly), points=1500, parts=6)
+    edit = geometric_edit(wobbly, bump(wobbly), points=1500, steps=6)
     error = edit.error_field()
     assert float(error.square().mean().sqrt()) < 0.02
     still = edit.wanted.norm(dim=1) == 0
@@ -67,7 +67,7 @@ def test_a_bump_is_raised_and_the_rest_stays(wobbly):
 
 def test_error_field_is_measured_on_the_edited_field(wobbly):
     """Without an edit the achieved displacement is zero, so the error is the whole target."""
-    edit = geometric_edit(wobbly, bump(wobbly), points=800, parts=2)
+    edit = geometric_edit(wobbly, bump(wobbly), points=800, steps=2)
     unedited = replace(edit, field=wobbly)
     largest = unedited.error_field().abs().max()
     assert float(largest) == pytest.approx(1.0, abs=0.15)
@@ -77,7 +77,7 @@ def test_error_field_is_the_way_along_the_starting_normal():
     """A sphere was to grow to 0.6 and also slipped by s along x: on the ray from the centre at the angle a to x its
     radius is s cos a + sqrt(0.6^2 - s^2 sin^2 a)."""
     slip = 0.01
-    edit = geometric_edit(shapes.sphere(radius=0.5), Handle(EVERYWHERE, Along(0.1)), parts=1, points=200)
+    edit = geometric_edit(shapes.sphere(radius=0.5), Handle(EVERYWHERE, Along(0.1)), steps=1, points=200)
     slipped = replace(edit, field=shapes.sphere(radius=0.6, center=(slip, 0, 0)))
     cosine = edit.normals[:, 0]
     reached = slip * cosine + (0.36 - slip**2 * (1 - cosine**2)).sqrt()
@@ -88,13 +88,13 @@ def test_a_turned_region_is_judged_along_its_turned_normals():
     """A rotation of a sphere asks for nothing: turned by a quarter, normals and surface agree again."""
     field = shapes.sphere(radius=0.5)
     turn = Handle(EVERYWHERE, RigidMotion(rotation=(0, 0, math.pi / 2)))
-    edit = geometric_edit(field, turn, parts=1, points=200)
+    edit = geometric_edit(field, turn, steps=1, points=200)
     wanted, along = edit.asked(edit.points, edit.normals)
     torch.testing.assert_close(along, (edit.points + wanted) / 0.5, rtol=0, atol=1e-6)
 
 
 def test_the_error_can_be_asked_for_at_other_points(wobbly):
-    edit = geometric_edit(wobbly, bump(wobbly), points=1000, parts=2)
+    edit = geometric_edit(wobbly, bump(wobbly), points=1000, steps=2)
     again = edit.error_field(SurfaceSample(edit.points, edit.normals, edit.weights))
     assert torch.equal(again, edit.error_field())
     dense = surface_quadrature(wobbly, 32)
@@ -120,7 +120,7 @@ def test_points_are_drawn_anew_where_they_thin_out():
     """A ball drawn out to an ellipsoid three times as long: its area grows, and with it the number of points."""
     field = shapes.ellipsoid((0.25, 0.25, 0.25))
     stretch = Handle(EVERYWHERE, lambda points: points * torch.tensor([0.0, 0.0, 2.0], dtype=points.dtype))
-    edit = geometric_edit(field, stretch, parts=8, points=400)
+    edit = geometric_edit(field, stretch, steps=8, points=400)
     assert edit.history[0]["points_used"] == 400
     assert edit.history[-1]["points_used"] > 600
     assert float(edit.error_field().abs().max()) < 1e-3
@@ -129,7 +129,7 @@ def test_points_are_drawn_anew_where_they_thin_out():
 def test_points_that_only_slide_can_be_left_out():
     """Moved along x, the points of a sphere on the circle x = 0 slide along it."""
     field = shapes.sphere(radius=0.5)
-    edit = geometric_edit(field, Handle(EVERYWHERE, (0.1, 0, 0)), parts=2, points=300, least_alignment=0.3, **ALONE)
+    edit = geometric_edit(field, Handle(EVERYWHERE, (0.1, 0, 0)), steps=2, points=300, least_alignment=0.3, **ALONE)
     left_out = torch.isnan(edit.wanted).any(dim=1)
     assert torch.equal(left_out, edit.normals[:, 0].abs() < 0.3)
     assert float(edit.error_field()[~left_out].abs().max()) < 1e-6
@@ -138,7 +138,7 @@ def test_points_that_only_slide_can_be_left_out():
 def test_a_piece_of_surface_that_appears_is_reported():
     """Judged on a field with a second ball, which stands for what an edit might leave."""
     ball = shapes.sphere(radius=0.3, center=(-0.4, 0, 0))
-    edit = geometric_edit(ball, Handle(EVERYWHERE, Along(0.01)), parts=1, points=100)
+    edit = geometric_edit(ball, Handle(EVERYWHERE, Along(0.01)), steps=1, points=100)
     assert (edit.status, edit.notes) == (EditStatus.DONE, ())
     assert (edit.before.topology.components, edit.after.topology.components) == (1, 1)
     assert edit.after.slope_median == pytest.approx(1.0, abs=1e-6)
@@ -151,7 +151,7 @@ def test_a_piece_of_surface_that_appears_is_reported():
 def test_volume_can_be_kept_while_a_bump_is_raised(wobbly):
     sample = surface_quadrature(wobbly, 48)
     before = Volume().value(wobbly, sample)
-    edit = geometric_edit(wobbly, bump(wobbly), rest="free", points=800, parts=3, constraints=(Volume(),))
+    edit = geometric_edit(wobbly, bump(wobbly), rest="free", points=800, steps=3, constraints=(Volume(),))
     after = Volume().value(edit.field, surface_quadrature(edit.field, 64))
     assert after == pytest.approx(before, rel=1e-5)
     assert edit.history[-1]["volume"] == pytest.approx(before, rel=1e-7)
@@ -160,7 +160,7 @@ def test_volume_can_be_kept_while_a_bump_is_raised(wobbly):
 def test_two_functionals_can_be_kept_at_once(wobbly):
     sample = surface_quadrature(wobbly, 48)
     before = Volume().value(wobbly, sample), Area().value(wobbly, sample)
-    edit = geometric_edit(wobbly, bump(wobbly, 0.03), rest="free", points=800, parts=2, constraints=(Volume(), Area()))
+    edit = geometric_edit(wobbly, bump(wobbly, 0.03), rest="free", points=800, steps=2, constraints=(Volume(), Area()))
     assert edit.history[-1]["volume"] == pytest.approx(before[0], rel=1e-7)
     assert edit.history[-1]["area"] == pytest.approx(before[1], rel=1e-7)
 
@@ -168,7 +168,7 @@ def test_two_functionals_can_be_kept_at_once(wobbly):
 def test_tracked_points_end_on_the_edited_surface_and_follow_the_handle(wobbly):
     track = sample_surface(wobbly, 50, seed=9).points
     edit = geometric_edit(
-        wobbly, Handle(HalfSpace((0, 0, -2), (0, 0, 1)), (0.1, 0, 0)), parts=4, points=800, track=track
+        wobbly, Handle(HalfSpace((0, 0, -2), (0, 0, 1)), (0.1, 0, 0)), steps=4, points=800, track=track
     )
     assert float(edit.field.value(edit.tracked).abs().max()) < 1e-10
     way = edit.tracked - track
@@ -186,8 +186,8 @@ def test_a_scaled_field_gives_the_same_edit(wobbly):
         def forward(self, points):
             return 5 * self.module(points)
 
-    plain = geometric_edit(wobbly, bump(wobbly), points=800, parts=2)
-    times = geometric_edit(Field(Times(wobbly.module)), bump(wobbly), points=800, parts=2)
+    plain = geometric_edit(wobbly, bump(wobbly), points=800, steps=2)
+    times = geometric_edit(Field(Times(wobbly.module)), bump(wobbly), points=800, steps=2)
     torch.testing.assert_close(times.displacement, plain.displacement, rtol=0, atol=1e-6)
 
 
@@ -195,31 +195,31 @@ def test_an_occupancy_gives_the_same_edit(wobbly):
     """The same network as a distance and as an occupancy, level 0.5 and large inside."""
     occupancy = Field(Occupancy(wobbly.module), level=0.5, inside="positive")
     sample = sample_surface(wobbly, 800)  # the grids of the two fields would give other points of the same surface
-    options = {"points": sample, "parts": 1, "damping": 1e-5}
+    options = {"points": sample, "steps": 1, "damping": 1e-5}
     plain, other = (geometric_edit(field, bump(field), **options, **ALONE) for field in (wobbly, occupancy))
     torch.testing.assert_close(other.field.theta, plain.field.theta, rtol=0, atol=1e-9)
     # In several parts, and tied to a field off the surface that is another one, the surfaces still agree.
-    tied = [geometric_edit(field, bump(field), points=sample, parts=4) for field in (wobbly, occupancy)]
+    tied = [geometric_edit(field, bump(field), points=sample, steps=4) for field in (wobbly, occupancy)]
     apart = (tied[0].error_field() - tied[1].error_field()).square().mean().sqrt()
     assert float(apart) < 0.02
 
 
 def test_the_same_seed_gives_the_same_bits(wobbly):
-    first, second = (geometric_edit(wobbly, bump(wobbly), points=400, parts=2, seed=5) for _ in range(2))
+    first, second = (geometric_edit(wobbly, bump(wobbly), points=400, steps=2, seed=5) for _ in range(2))
     assert torch.equal(first.field.theta, second.field.theta)
 
 
 def test_progress_is_told_of_each_part(wobbly):
     seen = []
     geometric_edit(
-        wobbly, bump(wobbly), points=300, parts=3, progress=lambda step, steps, row: seen.append((step, steps))
+        wobbly, bump(wobbly), points=300, steps=3, progress=lambda step, steps, row: seen.append((step, steps))
     )
     assert seen == [(1, 3), (2, 3), (3, 3)]
 
 
 def test_the_callers_field_stays_as_it_is(wobbly):
     theta = wobbly.theta.clone()
-    geometric_edit(wobbly, bump(wobbly), points=300, parts=1)
+    geometric_edit(wobbly, bump(wobbly), points=300, steps=1)
     assert torch.equal(wobbly.theta, theta)
 
 
@@ -234,7 +234,7 @@ def test_the_callers_field_stays_as_it_is(wobbly):
         ),
         ([Handle(EVERYWHERE, lambda points: points * float("inf"))], {}, "not finite"),
         ([Handle(EVERYWHERE, (1.0, 0))], {}, "must be a vector of 3"),
-        ([Handle(EVERYWHERE, Along(0.1))], {"parts": 0}, "parts must be at least 1"),
+        ([Handle(EVERYWHERE, Along(0.1))], {"steps": 0}, "steps must be at least 1"),
         ([Handle(EVERYWHERE, Along(0.1))], {"rest": "loose"}, "rest must be"),
     ],
 )
@@ -245,7 +245,7 @@ def test_bad_input_is_refused(wobbly, handles, options, message):
 
 def test_an_edit_that_would_lose_the_surface_stops_before():
     """Shrinking a sphere to nothing: the last good field is returned and the status says why."""
-    edit = geometric_edit(shapes.sphere(radius=0.5), Handle(EVERYWHERE, Along(-0.9)), points=300, parts=6)
+    edit = geometric_edit(shapes.sphere(radius=0.5), Handle(EVERYWHERE, Along(-0.9)), points=300, steps=6)
     assert edit.status in (EditStatus.SURFACE_LOST, EditStatus.UNSTABLE, EditStatus.NOT_FINITE)
     assert 0.04 < float(surface_quadrature(edit.field, 24).points.norm(dim=1).mean()) < 0.5
 
@@ -253,13 +253,13 @@ def test_an_edit_that_would_lose_the_surface_stops_before():
 def test_a_target_that_the_field_cannot_express_is_said_not_to_be_reached():
     """A sphere's four parameters cannot raise a bump."""
     field = shapes.sphere(radius=0.5)
-    edit = geometric_edit(field, Handle(Ball((0, 0, 0.5), 0.1, falloff=0.2), Along(0.1)), points=500, parts=2)
+    edit = geometric_edit(field, Handle(Ball((0, 0, 0.5), 0.1, falloff=0.2), Along(0.1)), points=500, steps=2)
     assert edit.status is EditStatus.NOT_REACHED
 
 
 def test_a_network_too_large_for_a_matrix_is_edited_by_products(monkeypatch, wobbly):
     """The same edit with the limit lowered below the network's size."""
-    options = {"points": 400, "parts": 2, "damping": 1e-3}
+    options = {"points": 400, "steps": 2, "damping": 1e-3}
     dense = geometric_edit(wobbly, bump(wobbly), **options)
     monkeypatch.setattr("implicit.step.problem.DENSE_LIMIT", 100)
     free = geometric_edit(wobbly, bump(wobbly), **options)

@@ -50,8 +50,8 @@ def test_a_rope_keeps_its_length_while_it_is_pulled(rope):
     """The paper's rope: a part of the curve moves, the whole keeps its length."""
     before = Area().value(rope, surface_quadrature(rope, 128))
     pull = Handle(Ball((0.5, 0.0), 0.05, falloff=0.3), Along(0.1))
-    edit = geometric_edit(rope, pull, rest="free", points=400, parts=8, constraints=(Area(),), resolution=128)
-    free = geometric_edit(rope, pull, rest="free", points=400, parts=8)
+    edit = geometric_edit(rope, pull, rest="free", points=400, steps=8, constraints=(Area(),), resolution=128)
+    free = geometric_edit(rope, pull, rest="free", points=400, steps=8)
     after, unheld = (Area().value(e.field, surface_quadrature(e.field, 256)) for e in (edit, free))
     assert after == pytest.approx(before, rel=1e-6)
     assert abs(unheld / before - 1) > 1e-3
@@ -72,7 +72,7 @@ def test_a_curve_keeps_its_area_while_it_is_smoothed_towards_a_circle(rope):
 
 def test_a_bump_on_a_curve(rope):
     bump = Handle(Ball((0.0, 0.5), 0.1, falloff=0.3), Along(0.05))
-    edit = geometric_edit(rope, bump, points=400, parts=8)
+    edit = geometric_edit(rope, bump, points=400, steps=8)
     assert float(edit.error_field().square().mean().sqrt()) < 0.02
 
 

@@ -1,11 +1,9 @@
-"""Regions, their combinations, and motions."""
-
-import math
+"""Regions and their combinations."""
 
 import pytest
 import torch
 
-from implicit import Along, Ball, Box, HalfSpace, Handle, NearPoints, RigidMotion
+from implicit import Along, Ball, Box, HalfSpace, Handle, NearPoints
 
 POINTS = torch.tensor([[0.0, 0, 0], [0.5, 0, 0], [1.0, 0, 0], [0, 2.0, 0]], dtype=torch.float64)
 
@@ -52,50 +50,24 @@ def test_a_box_inside_out_is_refused():
         Box((1, 0, 0), (0, 1, 1))
 
 
-def test_rigid_motion_turns_by_even_angles():
-    motion = RigidMotion(rotation=(0, 0, math.pi / 2), translation=(0, 0, 1), center=(1, 0, 0))
-    half = motion.at(0.5, POINTS[:1])
-    root = math.sqrt(0.5)
-    torch.testing.assert_close(half, torch.tensor([[1 - root, -root, 0.5]], dtype=torch.float64))
-    torch.testing.assert_close(motion.at(1.0, POINTS[:1]), torch.tensor([[1.0, -1, 1]], dtype=torch.float64))
-
-
-def test_a_rotation_matrix_is_the_same_as_its_vector():
-    vector = torch.tensor([0.3, -0.5, 0.2], dtype=torch.float64)
-    matrix = torch.matrix_exp(torch.tensor([[0, -0.2, -0.5], [0.2, 0, -0.3], [0.5, 0.3, 0]], dtype=torch.float64))
-    torch.testing.assert_close(
-        RigidMotion(rotation=matrix).at(0.7, POINTS), RigidMotion(rotation=vector).at(0.7, POINTS)
-    )
-
-
-def test_no_rotation_matrix_is_refused():
-    with pytest.raises(ValueError, match="no rotation matrix"):
-        RigidMotion(rotation=2 * torch.eye(3)).at(1.0, POINTS)
-
-
-def test_motion_along_normals():
-    normals = torch.nn.functional.normalize(torch.ones_like(POINTS), dim=1)
-    handle = Handle(Ball((0, 0, 0), 9), Along(lambda x: x[:, 0]))
-    torch.testing.assert_close(handle.position(0.5, POINTS, normals), POINTS + 0.5 * POINTS[:, :1] * normals)
-
-
-def test_a_displacement_that_is_not_finite_is_refused():
-    with pytest.raises(ValueError, match="all finite"):
-        Handle(Ball((0, 0, 0), 1), (float("nan"), 0, 0)).position(1.0, POINTS, POINTS)
-
-
-def test_weights_outside_zero_and_one_are_refused():
-    with pytest.raises(ValueError, match=r"in \[0, 1\]"):
-        Handle(lambda x: x[:, 0] * 3, (1, 0, 0)).weights(POINTS)
-
-
-def test_plain_numbers_keep_their_digits():
-    moved = Handle(Ball((0, 0, 0), 1), (0.1, 0.0, 0.0)).position(1.0, POINTS, POINTS)
-    assert float(moved[0, 0]) == 0.1
-    assert float(Handle(Ball((0, 0, 0), 1), Along(0.1)).position(1.0, POINTS, torch.ones_like(POINTS))[0, 0]) == 0.1
-
-
 def test_falloff_stays_between_zero_and_one_in_single_precision():
     points = torch.linspace(0, 1.2, 20_001)[:, None] * torch.tensor([1.0, 0, 0])
     weights = Handle(Ball((0, 0, 0), 0.2, falloff=0.3), Along(0.1)).weights(points)
     assert 0 <= float(weights.min()) <= float(weights.max()) <= 1
+
+
+@pytest.mark.parametrize(
+    ("region", "words"),
+    [
+        (Ball((0.5, 0, 0), 0.25), "Ball(center=(0.5, 0, 0), radius=0.25)"),
+        (Ball(torch.tensor([0.1, 0, 0]), 1, falloff=0.5), "Ball(center=(0.1, 0, 0), radius=1, falloff=0.5)"),
+        (Box((0, 0), (1, 2)), "Box(lower=(0, 0), upper=(1, 2))"),
+        (HalfSpace((0, 0, 0), (0, 0, 1)), "HalfSpace(point=(0, 0, 0), normal=(0, 0, 1))"),
+        (NearPoints(torch.zeros(500, 3), 0.1), "NearPoints(centers=<500 x 3 numbers>, radius=0.1)"),
+        (NearPoints([[0, 0, 1]], 0.1), "NearPoints(centers=((0, 0, 1),), radius=0.1)"),
+        (~Ball((0, 0), 1) & Box((0, 0), (1, 1)), "(~Ball(center=(0, 0), radius=1) & Box(lower=(0, 0), upper=(1, 1)))"),
+        (Ball((0, 0), 1) | weights, "(Ball(center=(0, 0), radius=1) | weights)"),
+    ],
+)
+def test_a_region_is_printed_in_one_line(region, words):
+    assert repr(region) == words

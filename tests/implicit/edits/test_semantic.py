@@ -46,7 +46,7 @@ def test_one_step_is_the_ridge_regression_of_the_paper():
     family, damping = CHAIRS, 0.3
     field = family.field(family.draw(1)[0])
     points, ways = prescribe(field, implicit.Handle(implicit.HalfSpace((0, -0.3, 0), (0, -1, 0)), (0, 0.02, 0)), 40)
-    edit = semantic_edit(field, points, ways, steps=1, damping=damping, stride=1.0, least_cosine=0.0)
+    edit = semantic_edit(field, points, ways, steps=1, damping=damping, stride=1.0, least_alignment=0.0)
     B, n = implicit.basis(field, points).numpy(), field.normal(points)
     y = (ways * n).sum(dim=1).numpy()
     expected = np.linalg.solve(B.T @ B + damping * np.eye(B.shape[1]), B.T @ y)

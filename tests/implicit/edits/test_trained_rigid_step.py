@@ -40,7 +40,7 @@ def test_the_energies_are_those_of_the_rows_of_the_least_squares(wobbly, sample,
     reach = VectorTarget(sample.points[where], target, 7 * sample.weights[where])
     T = features.values(sample.points) @ c.T
     dT = torch.einsum("njk,ik->nij", features.slopes(sample.points), c)
-    E_K, E_C = StepEnergies.at(wobbly, strain, reach, where).energies(d_theta, T, dT)
+    E_K, E_C = StepEnergies.at(wobbly, strain, reach, where).values(d_theta, T, dT)
     assert float(E_K) == pytest.approx(total_energy([strain], space, x), rel=1e-10)
     assert float(E_C) == pytest.approx(total_energy([reach], space, x), rel=1e-10)
 
@@ -108,6 +108,9 @@ def test_the_linear_energy_is_that_of_the_first_step_of_a_rigid_edit(wobbly, sam
     edit = rigid_edit(wobbly, handles, points=sample, tangential=features, off_surface_strength=0.0)
     assert edit.history[0]["solves"] == 1
     assert edit.history[0]["objective"] == pytest.approx(step.linear_energy, rel=1e-6)
+    first, second = repr(step).splitlines()
+    assert first == f"TrainedStep: TRAINED, iterations 1, of {len(wobbly.theta)} parameters (float64, cpu)"
+    assert second.startswith(f"  energy {step.energy:.4g}, of it strain {step.strain:.4g}, in ")
 
 
 def test_the_least_squares_over_the_trained_features_is_at_least_as_good_as_the_training(wobbly, sample):

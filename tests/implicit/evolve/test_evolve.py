@@ -100,6 +100,17 @@ def test_a_ball_whose_volume_is_held_does_not_grow():
     assert edit.history[-1]["constraint_gap"] < 1e-8
 
 
+def test_a_volume_is_restored_within_each_step():
+    """To first order a tenth more volume is a thirtieth more radius; after each step it is the cube root of 1.1."""
+    field = ball()
+    more = Volume(1.1 * shapes.exact_volume(field))
+    track = start_of(field, 5).points
+    edit = evolve(field, Growth(0.0), start_of(field), steps=2, constraints=(more,), resolution=24, track=track)
+    for trail in edit.trail:
+        radius = torch.full((5,), 0.4 * 1.1 ** (1 / 3), dtype=torch.float64)
+        torch.testing.assert_close(trail.norm(dim=1), radius, atol=1e-5, rtol=0)
+
+
 def test_the_columns_of_a_row_are_in_their_order():
     field = ball()
     edit = evolve(field, Growth(0.02), start_of(field), steps=1, constraints=(Area(),), resolution=16, changing=True)
@@ -210,3 +221,5 @@ def test_equal_parts_and_parts_by_the_error_end_at_one():
     assert step == 24  # the most parts there may be
     quick = PartSchedule.of(None, largest=0.1).advance(1, 1e-9, 1)
     assert quick.share == pytest.approx(1.5 / 16)
+    even = PartSchedule.of(None, largest=0.1).advance(1, 0.012, 1)  # just the error that is aimed at
+    assert (even.now, even.then, even.count(2)) == (pytest.approx(1 / 16), pytest.approx(2 / 16), 16)

@@ -97,7 +97,7 @@ def test_the_error_estimate_bounds_the_error(resolution):
         assert abs(found.value - exact) <= found.error < 1e-3 * exact
 
 
-def test_the_way_to_the_surface_takes_most_of_the_cells_error_out():
+def test_the_distance_to_the_surface_takes_most_of_the_cells_error_out():
     ball = shapes.sphere(0.5)
     sample = surface_quadrature(ball, 10)
     for functional, cells, exact in (
