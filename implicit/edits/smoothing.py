@@ -54,6 +54,12 @@ STEP_OF_AREA = 1e-4
 # crumbs come off; ten times as much does not keep up with the flow there, and a piece pinches off.
 DAMPING = 1e-5
 
+# The sensitivities of a field with jumps in its gradient are each felt by few facets, so that a step in weak form takes
+# so many times as many points and directions, and of so few parameters all. Measured on a ReLU network of 7 x 32 whose
+# area falls by a quarter in ten steps: 200 directions stay 5 % behind the flow of a mesh, 400 at most 2 %.
+WEAK_FACTOR = 2
+WEAK_ALL_PARAMETERS = 1500
+
 Curvature = Literal["auto", "pointwise", "weak"]
 
 
@@ -131,7 +137,7 @@ def smooth(
         restore: Share of the field's deviation from a distance that a step undoes; 0 for fields that are none.
         points: Points at which the flow is prescribed, chosen anew for each step.
         directions: How many sensitivities span the step, three quarters of them on the surface; None takes all
-            parameters.
+            parameters. The weak form takes twice as many, of twice as many points, or all of up to 1500 parameters.
         damping: Penalty on |d_theta|^2; None adapts it to the linearity error.
         resolution: Of the quadrature of each step, unless `holding` says.
         track: Surface points (M, D) to carry along. Where a piece vanishes they go on from the nearest point.
@@ -315,14 +321,18 @@ class SmoothingOperation:
     def step(self, state: State[FlowMemory]) -> StepProblem:
         """Return the problem of this step."""
         field, seed = state.field, self.seed + state.step
-        sample = subsample(field, state.sample, self.points, seed=seed)
+        points, count = self.points, self.directions
+        if self.weak:
+            points *= WEAK_FACTOR
+            all_parameters = count is None or len(field.theta) <= WEAK_ALL_PARAMETERS
+            count = None if all_parameters or count is None else WEAK_FACTOR * count
+        sample = subsample(field, state.sample, points, seed=seed)
         energies, row = self._weak_energies(state) if self.weak else self._energies(field, sample)
-        away = off_surface(
-            field, sample, strength=self.off_surface_strength, restore=self.restore, points=self.points // 4, seed=seed
-        )
-        if self.off_surface_strength > 0:
+        strength = self.off_surface_strength
+        away = off_surface(field, sample, strength=strength, restore=self.restore, points=points // 4, seed=seed)
+        if strength > 0:
             energies.append(away)
-        basis = None if self.directions is None else spanned(field, sample.points, away.points, self.directions)
+        basis = None if count is None else spanned(field, sample.points, away.points, count)
         return StepProblem(
             DeformationSpace(field, directions=basis),
             energies,

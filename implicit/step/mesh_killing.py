@@ -5,7 +5,7 @@
 
 J is the slope of D on a face, [w] the matrix of w x, P = I - n n^T. The first sum is int |P (J + J^T) P|^2, zero for
 isometric motions to first order; both together are the energy of spokes and rims [Chao, Pinkall, Sanan, Schroeder
-2010], whose cells share a rotation: 4/3 sum A |(J - [w_v]) P|^2, of which the first sum is what each face's own rotation
+2010], whose cells share a rotation, 4/3 sum A |(J - [w_v]) P|^2: the first sum is what the own rotation of each face
 leaves. The rotations are eliminated: with tangents e, f and normal n of a face,
 
     w_f = e (n . J f) - f (n . J e) + n (f . J e - e . J f) / 2,     w_v = (sum A H)^-1 sum A H w_f,     H = I + n n^T,
