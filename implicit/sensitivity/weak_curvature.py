@@ -30,7 +30,7 @@ import torch
 from jaxtyping import Float
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -47,6 +47,10 @@ AVERAGED_CELLS = 2.0
 # Area that a triangle is taken to have at least in its Dirichlet energy, relative to its longest side squared: marching
 # leaves needles along which the sensitivities of a network with jumps in its gradient differ by as much as elsewhere.
 LEAST_HEIGHT = 0.02
+
+# Least cosine between the normals of mesh and field: where facets of the field meet at a sharper angle, no single
+# direction is normal to both.
+LEAST_COSINE = 0.5
 
 # Cells along the longest side of the bounds of a mesh that a functional makes for itself.
 RESOLUTION = 48
@@ -224,10 +228,21 @@ class WeakSurface:
         G, weights = self.gradient
         return sparse.csc_array(G.T @ sparse.diags_array(weights) @ G)
 
-    def averaged(self, integrated: FloatArray, cells: float = AVERAGED_CELLS) -> FloatArray:
-        """Return the density of what is integrated about the vertices, averaged over so many cells (V,)."""
-        matrix = sparse.csc_array(sparse.diags_array(self.masses) + (cells * self.width) ** 2 * self.laplacian)
-        return np.asarray(splu(matrix).solve(integrated))
+    def averaged(self, integrated: FloatArray) -> FloatArray:
+        """Return the density of what is integrated about the vertices, averaged over AVERAGED_CELLS (V,)."""
+        return np.asarray(self._heat_step.solve(integrated))
+
+    @cached_property
+    def _heat_step(self) -> SuperLU:
+        spread = (AVERAGED_CELLS * self.width) ** 2 * self.laplacian
+        return splu(sparse.csc_array(sparse.diags_array(self.masses) + spread))
+
+    @cached_property
+    def averaged_normals(self) -> FloatArray:
+        """Unit normals of the cells averaged over AVERAGED_CELLS, at each vertex (V, D)."""
+        across = self._gathered(np.repeat(self._across[:, None], self.dimension, axis=1)) / self.dimension
+        mean = np.stack([self.averaged(axis) for axis in across.T], axis=1)
+        return mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300)
 
     @cached_property
     def mean_curvature(self) -> FloatArray:
@@ -270,6 +285,9 @@ def weak_mean_curvature(
 ) -> Float[Tensor, " n"]:
     """Return kappa in weak form at points of a field's surface (N,), averaged over a few cells.
 
+    It is the change of area per unit of motion along the field's own normal n, and of area: a facet that moves by b
+    along n moves the mesh by b / (N . n) along its normal N, which the averaging has smoothed.
+
     Args:
         resolution: Cells along the longest side of the bounds of the mesh that it is read from.
 
@@ -277,4 +295,6 @@ def weak_mean_curvature(
         SurfaceError: There is no surface in the bounds, or it leaves them.
     """
     mesh = WeakSurface.extracted(field, resolution)
-    return mesh.at(points, mesh.mean_curvature)
+    smooth = torch.stack([mesh.at(points, axis) for axis in mesh.averaged_normals.T], dim=1)
+    cosines = (smooth * field.normal(points)).sum(dim=1).clamp(min=LEAST_COSINE)
+    return mesh.at(points, mesh.mean_curvature) / cosines

@@ -17,13 +17,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.sensitivity.boundary_sensitivity import row_blocks
-from implicit.sensitivity.weak_curvature import FloatArray, WeakSurface
+from implicit.sensitivity.weak_curvature import LEAST_COSINE, FloatArray, WeakSurface
 from implicit.step.deformation import DeformationSpace
 from implicit.step.least_squares import Rows
-
-# Least cosine between the normals of mesh and field: where facets of the field meet at a sharper angle, no single
-# direction is normal to both.
-LEAST_COSINE = 0.5
 
 
 def mesh_speed_rows(space: DeformationSpace, surface: WeakSurface) -> Float[Tensor, "v p"]:

@@ -25,7 +25,6 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 from torch import Tensor
 
-from implicit.sensitivity.boundary_sensitivity import row_blocks
 from implicit.sensitivity.weak_curvature import FloatArray, IntArray, WeakSurface
 from implicit.step.deformation import DeformationSpace
 from implicit.step.least_squares import Rows
@@ -130,13 +129,8 @@ class MeshKilling:
         """Yield weighted equations over all unknowns, so many as the vertices have coordinates."""
         theta = space.field.theta
         moved = vertex_displacement_rows(space, self.surface)
-        factor = self._factor
-        for block in row_blocks(torch.arange(factor.shape[0]), space.size):
-            part = factor[block[0] : block[-1] + 1].tocoo()
-            index = torch.from_numpy(np.stack([part.row, part.col]).astype(np.int64))
-            some = torch.sparse_coo_tensor(index, torch.from_numpy(part.data), part.shape).to(theta)
-            matrix = torch.sparse.mm(some, moved)
-            yield Rows(matrix, matrix.new_zeros(len(matrix)), matrix.new_ones(len(matrix)))
+        matrix = torch.from_numpy(self._factor @ moved.cpu().double().numpy()).to(theta)
+        yield Rows(matrix, matrix.new_zeros(len(matrix)), matrix.new_ones(len(matrix)))
 
 
 def vertex_displacement_rows(space: DeformationSpace, surface: WeakSurface) -> Tensor:
