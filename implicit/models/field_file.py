@@ -14,7 +14,6 @@ from __future__ import annotations
 import json
 import zipfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
@@ -291,22 +290,18 @@ def _remedy(builder: str | None) -> str:
 # What is read
 
 
-@dataclass(frozen=True)
-class _Kind:
-    """What a file that is no safetensors file is instead, and what reads it."""
-
-    what: str
-    remedy: str
-
-
-def _kind(path: Path) -> _Kind | None:
+def _of_another_program(path: Path) -> str | None:
+    """Return what a file is that is no safetensors file, and what reads it, or None where that is not known."""
     with open(path, "rb") as file:
-        start = file.read(64)
-    checkpoint = 'read it by load_network(path, "auto") or load_checkpoint(path, "auto")'
-    if start[:1] == b"\x80" or (zipfile.is_zipfile(path) and path.suffix != ".npz"):
-        return _Kind("what torch.save writes", f"If it holds a published network, {checkpoint}; otherwise load it")
+        start = file.read(8)
+    in_its_program = "load it in its own program, give the module to Field, and save that with save_field."
     if path.suffix in (".npz", ".npy") or start.startswith(b"\x93NUMPY"):
-        return _Kind("an archive of numpy arrays", "Load it")
+        return f"what numpy.save writes. To make a field of it, {in_its_program}"
+    if start[:1] == b"\x80" or zipfile.is_zipfile(path):
+        return (
+            'what torch.save writes. If it holds a published network, read it by load_network(path, "auto") or '
+            f'load_checkpoint(path, "auto"); otherwise {in_its_program}'
+        )
     return None
 
 
@@ -323,12 +318,9 @@ def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], dict[str
             metadata = file.metadata() or {}
             state = {name: file.get_tensor(name) for name in file.keys()} if tensors else {}  # noqa: SIM118  no dict
     except SafetensorError as error:
-        other = _kind(path)
+        other = _of_another_program(path)
         if other is not None:
-            raise ValueError(
-                f"{fspath(path)} is no field file but {other.what}. {other.remedy} in its own program, give the module "
-                "to Field, and save that with save_field."
-            ) from error
+            raise ValueError(f"{fspath(path)} is no field file but {other}") from error
         raise ValueError(
             f"{fspath(path)} is not a whole safetensors file ({error}). It may have been cut short: write it again."
         ) from error
