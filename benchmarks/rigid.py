@@ -14,9 +14,10 @@ import torch
 import implicit
 import meshref
 from benchmarks.common import leave_out_if_slow, sizes, spot
-from compare.cases.case import Case, HandleSpec
+from compare.cases.case import Case
 from compare.cases.default_cases import default_cases
-from compare.runs.operations import wanted_motion
+from compare.cases.handles import HandleSpec
+from compare.runs.operations import target_motion
 from compare.runs.subject import prepare_subject
 from implicit.edits.trained_rigid_step import TrainedStep, trained_rigid_step
 
@@ -33,7 +34,7 @@ class Scene:
     def __init__(self, name: str) -> None:
         self.subject = prepare_subject(Case(name, "smooth"))
         (case,) = default_cases(name, self.subject.V, self.subject.N, operations=("rigid",))
-        self.target = wanted_motion(case, self.subject)
+        self.target = target_motion(case, self.subject)
         self.field = self.subject.field.to(torch.float64)
         self.tracked = torch.from_numpy(self.subject.V)
         self.handles = [

@@ -8,17 +8,20 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from compare import operations  # noqa: F401, registers what cases can name
 from compare.reports.report import report  # here, for a later import of its module would take the function's place
 
 if TYPE_CHECKING:
-    from compare.cases.case import Case, HandleSpec
+    from compare.cases.case import Case
     from compare.cases.default_cases import default_cases
+    from compare.cases.handles import HandleSpec
+    from compare.cases.subject import Subject
     from compare.errors import InputError
     from compare.fitting.fit import FitReport, fit_mesh
     from compare.runs.executors import Workers
     from compare.runs.records import Record
     from compare.runs.run import run_case, run_cases
-    from compare.runs.subject import Subject, prepare_subject
+    from compare.runs.subject import prepare_subject
     from compare.studies.study import Study, find_study
     from compare.studies.study_folder import run_study
 
@@ -31,13 +34,13 @@ _MODULES = {
     "Study": "studies.study",
     "Workers": "runs.executors",
     "Case": "cases.case",
-    "HandleSpec": "cases.case",
+    "HandleSpec": "cases.handles",
     "default_cases": "cases.default_cases",
     "Record": "runs.records",
     "fit_mesh": "fitting.fit",
     "FitReport": "fitting.fit",
     "prepare_subject": "runs.subject",
-    "Subject": "runs.subject",
+    "Subject": "cases.subject",
     "InputError": "errors",
 }
 

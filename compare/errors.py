@@ -1,4 +1,4 @@
-"""What the user named and cannot be used, and how progress is told."""
+"""The error for input that cannot be used, and how progress is told."""
 
 from __future__ import annotations
 
@@ -9,4 +9,4 @@ Progress = Callable[[int, int, str], None]
 
 
 class InputError(ValueError):
-    """What the user named cannot be used; the message says why and what to do."""
+    """Input that cannot be used; the message says why and what to do."""

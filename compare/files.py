@@ -11,7 +11,7 @@ from typing import Any
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Write a file to the side and move it there in one step, so that nobody sees half of it.
+    """Write a file to the side and move it there in one step, so that nobody sees half of it, even after a power cut.
 
     Raises:
         OSError: It cannot be written.
@@ -20,7 +20,10 @@ def replace_file(path: Path, content: bytes) -> None:
         raise IsADirectoryError(f"{path} is a folder and cannot be written as a file. Name a file in it.")
     side = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        side.write_bytes(content)
+        with open(side, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
         os.replace(side, path)
     except OSError as error:
         raise unwritten(path, error.strerror) from error
@@ -30,7 +33,7 @@ def replace_file(path: Path, content: bytes) -> None:
 
 
 def unwritten(path: Path, why: str | None) -> OSError:
-    """What to raise where a file could not be written."""
+    """Return what to raise where a file could not be written."""
     return OSError(
         f"{path} cannot be written: {why}. Name a folder that is there and may be written to, on a disk with room; "
         "what stood there before is untouched."
@@ -38,7 +41,7 @@ def unwritten(path: Path, why: str | None) -> OSError:
 
 
 def plain(value: Any) -> Any:
-    """The value in the words of JSON: arrays become lists, numbers that JSON cannot say become None."""
+    """Return the value in the words of JSON: arrays become lists, numbers that JSON cannot say become None."""
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

@@ -12,8 +12,9 @@ from rows.table import best, row
 import implicit
 import meshref
 from compare import Case, Subject, default_cases, prepare_subject
+from compare.operations.operation import Outcome, Target, operation_of
 from compare.paper.rigidity import POINTS, mesh_of, pulled_case, rigidity
-from compare.runs.operations import Outcome, Wanted, edit_field, wanted_motion
+from compare.runs.operations import target_motion
 
 VERTICES = (3_500, 35_000, 140_000)
 
@@ -63,13 +64,14 @@ def arap(shape: str = "spot") -> None:
         row(name, theirs_s, ours_s, words, killing_ratio <= 1 and error <= 0.02)
 
 
-def our_pull(shape: str) -> tuple[Case, Subject, Wanted, float, Outcome]:
+def our_pull(shape: str) -> tuple[Case, Subject, Target, float, Outcome]:
     """The rigid edit of `default_cases` on a field: what it is, what it wants, its seconds, and what it gives."""
     subject = prepare_subject(Case(shape, "smooth"))
     (case,) = default_cases(shape, subject.V, subject.N, operations=("rigid",))
+    edit_field = operation_of(case.operation).edit_field
     edit_field(case, subject)  # imports
     ((seconds, ours),) = best(lambda: edit_field(case, subject), repeats=1)
-    return case, subject, wanted_motion(case, subject), seconds, ours
+    return case, subject, target_motion(case, subject), seconds, ours
 
 
 def wanted_on_mesh(
@@ -78,6 +80,6 @@ def wanted_on_mesh(
     """A mesh of the subject's surface, its handles' vertices, and how these are to move."""
     V, F = mesh_of(subject.field, vertices)
     normals = subject.field.normal(torch.from_numpy(V)).numpy()
-    wanted = wanted_motion(case, replace(subject, V=V, F=F, N=normals))
+    wanted = target_motion(case, replace(subject, V=V, F=F, N=normals))
     at = np.flatnonzero(wanted.at)
     return V, F, at, wanted.displacement[at]

@@ -1,4 +1,4 @@
-"""What to call cases of the same shape and operation: by the settings in which they differ."""
+"""Names for cases of the same shape and operation: the settings in which they differ."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from compare.cases.case import Case
 
 
 def labels(cases: Sequence[Case]) -> list[str]:
-    """Of each case what tells it from the others of its shape and operation; "" where nothing does.
+    """Return of each case what tells it from the others of its shape and operation; "" where nothing does.
 
     Settings are named as in a study: "vertices 500, implicit.points 250".
     """
@@ -32,7 +32,7 @@ def _settings(case: Case) -> dict[str, Any]:
 
 
 def flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    """Nested tables as one, with dotted names."""
+    """Return nested tables as one, with dotted names."""
     row: dict[str, Any] = {}
     for key, value in table.items():
         row |= flat(value, f"{before}{key}.") if isinstance(value, Mapping) else {f"{before}{key}": value}

@@ -7,16 +7,16 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from compare.cases.case import OPERATIONS, Case, Operation
+from compare.cases.case import Case
+from compare.cases.registry import OPERATIONS
 from compare.errors import InputError
 
 OF_A_CASE = ("vertices", "resolution", "seed")
-OF_SMOOTHING = ("steps", "step_size")
 OF_A_PART = ("implicit", "mesh", "fit")
 
 
 def with_settings(case: Case, settings: Mapping[str, Any]) -> Case:
-    """The case with settings by their dotted names; those for another operation are passed over."""
+    """Return the case with settings by their dotted names; those for another operation are passed over."""
     fields: dict[str, Any] = {}
     parameters = json.loads(json.dumps(case.parameters))
     for name, value in settings.items():
@@ -36,7 +36,7 @@ def with_settings(case: Case, settings: Mapping[str, Any]) -> Case:
 
 
 def setting_of(case: Case, name: str) -> Any:
-    """The value of a setting in a case, None where its editor chooses."""
+    """Return the value of a setting in a case, None where its editor chooses."""
     parts = parts_of(name, case.operation)
     if parts is None:
         return None
@@ -48,8 +48,8 @@ def setting_of(case: Case, name: str) -> Any:
     return value
 
 
-def parts_of(name: str, operation: Operation) -> list[str] | None:
-    """The dotted name without the operation before it; None if it is for another."""
+def parts_of(name: str, operation: str) -> list[str] | None:
+    """Return the parts of the dotted name without the operation before it; None if it is for another."""
     parts = name.split(".")
     if parts[0] not in OPERATIONS:
         return parts

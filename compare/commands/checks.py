@@ -1,4 +1,4 @@
-"""What several commands refuse before any work: outputs that cannot be written, or would be written over."""
+"""Refusals before any work, common to several commands: outputs that cannot or must not be written over."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from compare.errors import InputError
 
 
 def require_new_safetensors(what: str, path: Path) -> None:
-    """A file of that kind that is not there yet, where one can be written."""
+    """Refuse a file of another kind, one that is there already, or one in a folder where none can be written."""
     if path.suffix != ".safetensors":
         raise InputError(f"{what} is written to a file ending in .safetensors, but the output is {path}.")
     if path.exists():
@@ -18,13 +18,13 @@ def require_new_safetensors(what: str, path: Path) -> None:
 
 
 def require_seed(seed: int) -> None:
-    """A number that random choices can begin with."""
+    """Refuse a number that random choices cannot begin with."""
     if seed < 0:
         raise InputError(f"--seed must be at least 0, but is {seed}.")
 
 
 def require_folder_for(path: Path) -> None:
-    """The nearest folder above that exists must be one, and writable."""
+    """Refuse a path unless the nearest folder above that exists is one, and writable."""
     above = path.absolute().parent
     while not above.exists():
         above = above.parent

@@ -1,4 +1,4 @@
-"""How the command line ends: its exit codes."""
+"""Exit codes of the command line."""
 
 DONE = 0
 FAILED = 1  # a case failed; the others are done

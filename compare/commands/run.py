@@ -6,13 +6,14 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from numpy import ndarray
 
-from compare.cases.case import BUNDLED, OPERATIONS, Case
-from compare.cases.default_cases import QUICK_FIT, QUICK_SIZE, default_cases
+from compare.cases.case import BUNDLED, Case
+from compare.cases.default_cases import QUICK_FIT, QUICK_SIZE, case_of_subject, default_cases
+from compare.cases.registry import OPERATIONS
 from compare.commands.checks import require_folder_for, require_seed
 from compare.commands.exits import FAILED
 from compare.commands.shown import add_task, advance, print_json, print_table, progress_bars, speaker, teller
@@ -21,6 +22,11 @@ from compare.runs.executors import WorkerDiedError, executor_of
 from compare.runs.lock import lock
 from compare.runs.records import FILE, read
 from compare.runs.subject import check_shape, prepare_subject
+
+if TYPE_CHECKING:
+    OperationName = str
+else:  # a word of those that are registered, for tyro to refuse others and to complete
+    OperationName = tyro.extras.literal_type_from_choices(tuple(OPERATIONS))
 
 
 @dataclass
@@ -31,7 +37,7 @@ class Run:
     """Bundled shapes, meshes (.obj, .off, .ply, .stl) or fields (.safetensors)."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="FOLDER")] = None
     """Run folder; by default results/run- and the time."""
-    operations: tuple[Literal["geometric", "smooth", "rigid"], ...] = OPERATIONS
+    operations: tuple[OperationName, ...] = tuple(OPERATIONS)
     """What to do with each shape."""
     quick: bool = False
     """Coarser and with fewer steps: to see that it works, not for figures."""
@@ -93,10 +99,8 @@ def _cases(command: Run, folder: Path, executor: Executor | None, tell: Progress
     """Prepare the shapes, which may fit a network to each, and find the handles on them."""
     fit = QUICK_FIT if command.quick else {}
     settings: dict[str, Any] = {"seed": command.seed, **(QUICK_SIZE if command.quick else {})}
-    # Any case of a shape: what decides the subject is the same for all, and this one needs no handles.
-    any_case = {
-        name: Case(name, "smooth", parameters={"fit": fit} if fit else {}, **settings) for name in command.shapes
-    }
+    # What decides the subject is the same for all cases of a shape.
+    any_case = {name: case_of_subject(name, fit, **settings) for name in command.shapes}
     waiting = {
         name: executor.submit(_surface, case, folder.absolute())
         for name, case in any_case.items()
@@ -113,7 +117,7 @@ def _cases(command: Run, folder: Path, executor: Executor | None, tell: Progress
 
 
 def _surface(case: Case, folder: Path, progress: Progress | None = None) -> tuple[ndarray, ndarray]:
-    """The vertices and normals of the common mesh of a case, whose subject is kept in the folder."""
+    """Return the vertices and normals of the common mesh of a case, whose subject is kept in the folder."""
     subject = prepare_subject(case, folder=folder, progress=progress)
     return subject.V, subject.N
 

@@ -1,4 +1,4 @@
-"""What several commands show while they work: sentences, and bars on stderr, so that stdout is left to results."""
+"""Sentences and bars that commands show while they work, on stderr, so that stdout is left to results."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SPEED_PERIOD = 24 * 3600.0  # seconds over which the time left is estimated; ric
 
 
 def speaker(quiet: bool, *, to_stderr: bool = False) -> Callable[[str], None]:
-    """What says a sentence to the user, or keeps quiet."""
+    """Return what says a sentence to the user, or keeps quiet."""
 
     def say(sentence: str) -> None:
         if not quiet:
@@ -28,7 +28,7 @@ def speaker(quiet: bool, *, to_stderr: bool = False) -> Callable[[str], None]:
 
 
 def progress_bars(quiet: bool) -> AbstractContextManager[Bars | None]:
-    """Bars for what takes long; None in their place where nothing is to be shown."""
+    """Return bars for what takes long; None in their place where nothing is to be shown."""
     if quiet:
         return nullcontext()
     from rich.console import Console
@@ -55,12 +55,12 @@ def progress_bars(quiet: bool) -> AbstractContextManager[Bars | None]:
 
 
 def add_task(bars: Bars | None, name: str, total: int | None, done: int = 0) -> Any:
-    """A bar more; it is not full until its total is known."""
+    """Add a bar; it is not full until its total is known."""
     return None if bars is None else bars.add_task(name, total=total, completed=done, what="")
 
 
 def teller(bars: Bars | None, task: Any) -> Callable[[int, int, str], None]:
-    """The progress callback of the library, for a bar."""
+    """Return the progress callback of the library, for a bar."""
 
     def tell(step: int, steps: int, what: str) -> None:
         if bars is not None and task is not None:
@@ -70,19 +70,19 @@ def teller(bars: Bars | None, task: Any) -> Callable[[int, int, str], None]:
 
 
 def advance(bars: Bars | None, task: Any) -> None:
-    """One more is done."""
+    """Count one more as done."""
     if bars is not None:
         bars.advance(task)
 
 
 def print_json(records: Sequence[Record]) -> None:
-    """The records, a line each."""
+    """Print the records, a line each."""
     for record in records:
         print(dumps(record.to_dict(), allow_nan=False))
 
 
 def print_table(records: Sequence[Record], *, settings: Sequence[str] = (), said: Sequence[str] = ()) -> None:
-    """The main numbers of the records, their notes, and why any of them failed.
+    """Print the main numbers of the records, their notes, and why any of them failed.
 
     Args:
         records: A line for each side of each.
@@ -93,16 +93,16 @@ def print_table(records: Sequence[Record], *, settings: Sequence[str] = (), said
     from rich.console import Console
     from rich.table import Table
 
-    from compare.runs.columns import COLUMNS, lines, text
+    from compare.runs.columns import columns, lines, text
 
-    columns = [(k, column) for k, column in enumerate(COLUMNS) if column.brief]
+    shown = [(k, column) for k, column in enumerate(columns()) if column.brief]
     table = Table("shape", "edit", "by", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    for name in [*settings, *(column.title for _, column in columns)]:
+    for name in [*settings, *(column.title for _, column in shown)]:
         table.add_column(name, justify="right", no_wrap=True)
     for record in records:
         chosen = [_setting(record, name) for name in settings]
         for shape, operation, side, _, values in lines(record):
-            table.add_row(shape, operation, side, *chosen, *(text(values[k], column) for k, column in columns))
+            table.add_row(shape, operation, side, *chosen, *(text(values[k], column) for k, column in shown))
         table.add_section()
     console = Console()
     console = Console(width=max(console.width, console.measure(table).maximum)) if settings else console

@@ -84,7 +84,7 @@ def study(command: Study) -> int:
 
 
 def _chosen(command: Study) -> tuple[studies.Study, Path]:
-    """The study that is meant, and its folder."""
+    """Return the study that is meant, and its folder."""
     if not command.name:
         raise InputError(f"Name a study: {', '.join(studies.built_in())}, or a file ending in .toml.")
     if command.name not in studies.built_in() and (Path(command.name) / STUDY_FILE).is_file():
@@ -115,7 +115,7 @@ def _list(as_json: bool) -> int:
 
 
 def _line(record: Record, label: str, done: float, total: float | None, seconds_left: float | None) -> str:
-    """A case that has ended, for a log."""
+    """Return the line of a log for a case that has ended."""
     words = ", ".join(filter(None, (record.case.name, record.case.operation, label)))
     what = f"{done:.0f} of {total:.0f}: {words}"
     left = "" if seconds_left is None else f"; about {timedelta(seconds=round(seconds_left))} left"

@@ -52,7 +52,7 @@ def bundle(name: str, meshes: Path | None = None, *, steps: int = STEPS) -> tupl
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line."""
+    """Run the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m compare.fitting.bundle", description=str(__doc__).partition("\n")[0]
     )

@@ -43,9 +43,9 @@ RESOLUTION = 192
 QUADRATURE = 128
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FitReport:
-    """How well a field fits its mesh. Lengths are in diagonals of the mesh's box unless they say otherwise.
+    """Measures of how well a field fits its mesh. Lengths are in diagonals of the mesh's box unless they say otherwise.
 
     A number that could not be measured, because the field has no closed surface in its bounds, is nan, and None in
     `to_dict`.
@@ -81,8 +81,16 @@ class FitReport:
     training: str  # how the training ended
     seed: int
 
+    def __repr__(self) -> str:
+        """Return the verdict and the main numbers in two lines."""
+        return (
+            f"FitReport({self.verdict}\n  mean distance {self.mean_distance:.3%} of the diagonal, volume "
+            f"{self.volume_error:+.2%}, normals {self.normal_error:.1f} degrees, {self.parameters} parameters, "
+            f"{self.steps} steps, {self.seconds:.0f} s)"
+        )
+
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """Return plain data for JSON."""
         return {key: _plain(value) for key, value in asdict(self).items()}
 
 
@@ -102,7 +110,7 @@ def fit_mesh(
     checkpoint: str | PathLike[str] | None = None,
     **training: Any,
 ) -> tuple[Field, FitReport]:
-    """A neural field whose zero set is the mesh, and how good it is.
+    """Return a neural field whose zero set is the mesh, and how good it is.
 
     Args:
         V: Vertices (n, 3), in any units and anywhere.

@@ -36,7 +36,7 @@ COLUMNS = (
 
 
 def row(name: str, width: int, report: FitReport) -> tuple[str, ...]:
-    """One line of the table; distances in per cent of the diagonal of the mesh's box."""
+    """Return one line of the table; distances in per cent of the diagonal of the mesh's box."""
     return (
         name,
         f"3 x {width}",
@@ -54,7 +54,7 @@ def row(name: str, width: int, report: FitReport) -> tuple[str, ...]:
 
 
 def table(rows: Iterable[Sequence[str]]) -> str:
-    """Markdown."""
+    """Return the table as Markdown."""
     lines = ["| " + " | ".join(COLUMNS) + " |", "|" + "---|" * len(COLUMNS)]
     return "\n".join([*lines, *("| " + " | ".join(r) + " |" for r in rows)]) + "\n"
 

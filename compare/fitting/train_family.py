@@ -20,7 +20,7 @@ DEFAULTS = {"shapes": 400, "latent": 16, "width": 128, "steps": 2500, "batch": 9
 def train_and_save(
     family: str, architecture: Architecture, path: Path, *, dtype: torch.dtype = torch.float32, **options: Any
 ) -> dict[str, Any]:
-    """The report of the training, which also stands in the file and beside it as .json.
+    """Return the report of the training, which also stands in the file and beside it as .json.
 
     Args:
         dtype: Of the weights in the file; in float16 the scores are measured again.
@@ -40,7 +40,7 @@ def train_and_save(
 
 
 def command_of(family: str, architecture: str, file: str, dtype: torch.dtype, options: dict[str, Any]) -> str:
-    """The command line that makes this model."""
+    """Return the command line that makes this model."""
     words = ["implicit-vs-mesh", "train-family", architecture, family, "-o", file]
     for name, default in DEFAULTS.items():
         if options.get(name, default) != default:

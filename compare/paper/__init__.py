@@ -72,7 +72,7 @@ def draw_parts(
 
 
 def pictures(folder: Path) -> list[Path]:
-    """The pictures that are in a folder."""
+    """Return the pictures that are in a folder."""
     return sorted(path for path in folder.iterdir() if path.suffix in (".png", ".pdf"))
 
 
@@ -91,7 +91,7 @@ def _draw(request: Request, part: str) -> Measured:
 
 
 def _left(todo: Sequence[str], done: int, elapsed: float, *, quick: bool) -> str:
-    """What the parts from `done` on will take, at the pace of those before."""
+    """Return what the parts from `done` on will take, at the pace of those before."""
     expected = [PARTS[part][0 if quick else 1] for part in todo]
     pace = elapsed / sum(expected[:done]) if done else 1.0
     seconds = pace * sum(expected[done:])

@@ -50,7 +50,7 @@ def draw(request: Request) -> list[Finding]:
 def _wave_number(
     field: implicit.Field, function: implicit.BasisFunction, sample: implicit.SurfaceSample, step: float = 1e-4
 ) -> float:
-    """How fast a function varies along the surface: sqrt(int |grad_surface b|^2 / int b^2)."""
+    """Return how fast a function varies along the surface: sqrt(int |grad_surface b|^2 / int b^2)."""
     square = torch.zeros_like(sample.weights)
     for axis in torch.eye(3, dtype=sample.points.dtype):
         tangent = axis - sample.normals * (sample.normals @ axis)[:, None]

@@ -29,20 +29,20 @@ class FamilyEdit:
 
     @property
     def field(self) -> implicit.Field:
-        """The shape before."""
+        """Field of the shape before."""
         return self.model.field(self.model.latents[self.shape].clone())
 
     def points(self, count: int = 100) -> tuple[Tensor, Tensor]:
-        """Prescribed points and their displacements, in the field's units."""
+        """Return prescribed points and their displacements, in the field's units."""
         return implicit.prescribe(self.field, self.handles, count)
 
     def free_points(self, count: int = 1000) -> Tensor:
-        """Points outside the regions."""
+        """Return points outside the regions."""
         points = implicit.sample_surface(self.field, count).points
         return points[torch.stack([handle.weights(points) for handle in self.handles]).amax(dim=0) == 0]
 
     def parameters_after(self, field: implicit.Field, resolution: int = 96) -> dict[str, float]:
-        """The family's parameters of an edited shape, by the nearest member."""
+        """Return the family's parameters of an edited shape, by the nearest member."""
         V, _ = implicit.extract_mesh(field, resolution)
         scale, dtype = self.model.scale, field.dtype
         nearest, _ = self.model.family.nearest(
@@ -53,12 +53,12 @@ class FamilyEdit:
         return dict(zip(self.model.family.parameters, nearest.tolist(), strict=True))
 
     def parameters_before(self) -> dict[str, float]:
-        """Those the shape was learned from."""
+        """Return the parameters that the shape was learned from."""
         return dict(zip(self.model.family.parameters, self.model.parameters[self.shape].tolist(), strict=True))
 
 
 def chair_leg(model: families.FamilyModel, shape: int | None = None, amount: float = AMOUNT) -> FamilyEdit:
-    """One leg shorter by the amount, or longer if that is negative; None takes the shape nearest to the middle."""
+    """Return the edit that makes one leg shorter by the amount; by default of the shape nearest to the middle."""
     shape = _middle(model) if shape is None else shape
     p = dict(zip(model.family.parameters, model.parameters[shape].tolist(), strict=True))
     x, z, foot = p["seat_width"] / 2, p["seat_depth"] / 2, -p["seat_thickness"] - p["leg_length"]
@@ -69,27 +69,27 @@ def chair_leg(model: families.FamilyModel, shape: int | None = None, amount: flo
 
 
 def longer_wing(model: families.FamilyModel, shape: int | None = None, amount: float = AMOUNT) -> FamilyEdit:
-    """The wing at +x longer by the amount."""
+    """Return the edit that makes the wing at +x longer by the amount."""
     shape = _middle(model) if shape is None else shape
     return FamilyEdit("one wing longer", model, shape, (_wing_tip(model, shape, 1, amount),))
 
 
 def uneven_wings(model: families.FamilyModel, shape: int | None = None, amount: float = AMOUNT) -> FamilyEdit:
-    """The wing at +x longer and the other shorter, by the same amount."""
+    """Return the edit that makes the wing at +x longer and the other shorter, by the same amount."""
     shape = _middle(model) if shape is None else shape
     tips = tuple(_wing_tip(model, shape, side, amount) for side in (1, -1))
     return FamilyEdit("one wing longer, one shorter", model, shape, tips)
 
 
 def leg_ends(model: families.FamilyModel, field: implicit.Field, resolution: int = 128) -> np.ndarray:
-    """Lowest y of the four legs (+x+z, +x-z, -x+z, -x-z) on the extracted mesh, in the family's units."""
+    """Return the lowest y of the four legs (+x+z, +x-z, -x+z, -x-z) on the extracted mesh, in the family's units."""
     V = implicit.extract_mesh(field, resolution)[0] / model.scale
     sides = [(x, z) for x in (1, -1) for z in (1, -1)]
     return np.array([V[(V[:, 0] * x > 0.1) & (V[:, 2] * z > 0.1), 1].min() for x, z in sides])
 
 
 def wing_ends(model: families.FamilyModel, field: implicit.Field, resolution: int = 128) -> np.ndarray:
-    """How far the wings reach (+x, -x) on the extracted mesh, in the family's units."""
+    """Return how far the wings reach (+x, -x) on the extracted mesh, in the family's units."""
     V = implicit.extract_mesh(field, resolution)[0] / model.scale
     return np.array([V[:, 0].max(), -V[:, 0].min()])
 

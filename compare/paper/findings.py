@@ -1,4 +1,4 @@
-"""What the paper says and what was measured, kept part by part: a run that is cut short loses one part at most.
+"""The paper's figures and those measured, kept part by part: a run that is cut short loses one part at most.
 
 findings.json of a folder holds each part with the settings it was made with, when, where, and in what time;
 findings.md is the same as a table. A part that is made again takes the place of the older one; the others stay.
@@ -43,12 +43,12 @@ class Measured:
 
     @property
     def quick(self) -> bool:
-        """Whether it was made coarsely."""
+        """Return whether it was made coarsely."""
         return bool(self.settings["quick"])
 
 
 def read_measured(path: Path) -> list[Measured]:
-    """The parts that a file holds; none if it is not there.
+    """Return the parts that a file holds; none if it is not there.
 
     Raises:
         ValueError: It is no file of findings.

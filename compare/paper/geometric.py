@@ -20,12 +20,12 @@ from numpy import ndarray
 
 import implicit
 import meshref
+from compare.cases.subject import Subject
 from compare.paper.findings import Finding
 from compare.paper.letters import Letters
 from compare.paper.panels import colour_bar, panel, surface_view
 from compare.paper.request import Request
 from compare.reports.views import Camera
-from compare.runs.subject import Subject
 from implicit import Along, Ball, Edit, HalfSpace, Handle, Region, SurfaceSample
 from implicit.edits.targets import SummedTargets
 
@@ -72,7 +72,7 @@ class _Task:
         return float(np.sqrt(np.average(self.error[keep] ** 2, weights=weights)))
 
     def rest(self) -> float:
-        """The motion of what was to stay, over the largest displacement."""
+        """Return the motion of what was to stay, over the largest displacement."""
         return self.rms(self.handle.weights(self.dense.points).numpy() == 0)
 
 
@@ -95,7 +95,7 @@ def draw(request: Request) -> list[Finding]:
 
 
 def natural(field: implicit.Field, name: str, kind: str) -> Handle:
-    """A bump or a stretch of a tenth of the shape, sinking smoothly to nothing over a quarter of its surface."""
+    """Return a bump or a stretch of a tenth of the shape, sinking smoothly to nothing over a quarter of its surface."""
     sample = implicit.surface_quadrature(field, 48)
     low, high = sample.points.amin(dim=0), sample.points.amax(dim=0)
     axis = int((high - low).argmax())
@@ -121,7 +121,7 @@ def letters() -> Handle:
 
 
 def _quarter(sample: SurfaceSample, region_of) -> Region:  # type: ignore[no-untyped-def]  # length -> Region
-    """The region of the length at which it holds a quarter of the area."""
+    """Return the region of the length at which it holds a quarter of the area."""
     low, high = 0.05, 4.0
     for _ in range(40):
         middle = (low + high) / 2

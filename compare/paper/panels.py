@@ -23,14 +23,14 @@ AZIMUTH = {"spot": 300.0}
 
 
 def camera_of(shape: str) -> Camera:
-    """Where a shape is seen best from, by its name or that of its file."""
+    """Return where a shape is seen best from, by its name or that of its file."""
     return Camera(AZIMUTH.get(Path(shape).stem, 30.0))
 
 
 def surface_view(
     field: implicit.Field, values: Callable[[ndarray], ndarray] | None = None, resolution: int = 96
 ) -> View:
-    """A field's surface with a number a vertex, or zeros; even in flat parts, where the numbers may have detail."""
+    """Return a field's surface with a number a vertex, or zeros; even where it is flat, as numbers may have detail."""
     V, F = implicit.extract_mesh(field, resolution)
     return View(V, F, np.zeros(len(V)) if values is None else values(V))
 
@@ -43,7 +43,7 @@ def coloured(view: View, limit: float) -> Float[ndarray, "m 3"]:
 
 
 def plain_colours(view: View) -> Float[ndarray, "m 3"]:
-    """The colour of a surface without numbers."""
+    """Return the colour of a surface without numbers."""
     return np.tile(np.array(SURFACE), (len(view.F), 1))
 
 
@@ -54,7 +54,7 @@ def panel(axes: Axes, view: View, camera: Camera, limit: float | None, title: st
 
 
 def colour_bar(figure: Figure, axes: Sequence[Axes], limit: float, label: str, *, beyond: bool = False) -> None:
-    """A colour bar beside the axes, for numbers up to the limit, or with arrows where some are beyond it."""
+    """Draw a colour bar beside the axes, for numbers up to the limit, or with arrows where some are beyond it."""
     colours = ScalarMappable(Normalize(-limit, limit), COLOURS)
     bar = figure.colorbar(colours, ax=list(axes), shrink=0.8, pad=0.01, extend="both" if beyond else "neither")
     bar.set_label(label, fontsize=7)
@@ -62,7 +62,7 @@ def colour_bar(figure: Figure, axes: Sequence[Axes], limit: float, label: str, *
 
 
 def same_frame(row: Sequence[Axes]) -> None:
-    """One extent for panels, so that sizes can be compared."""
+    """Give one extent to all panels, so that sizes can be compared."""
     x, y = (np.array([read(axes) for axes in row]) for read in (Axes.get_xlim, Axes.get_ylim))
     for axes in row:
         axes.set_xlim(x.min(), x.max())

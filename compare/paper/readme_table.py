@@ -40,7 +40,7 @@ def take_over(folder: Path, results: Path) -> None:
 
 
 def section(measured: Sequence[Measured]) -> str:
-    """When and where the findings were measured, and the table of those marked for the README."""
+    """Return when and where the findings were measured, and the table of those marked for the README."""
     days = sorted({str(part.provenance["time"])[:10] for part in measured})
     machine = {f"{part.provenance['processor']}, {part.provenance['cores']} cores" for part in measured}
     threads = sorted({int(part.provenance["threads"]) for part in measured})
@@ -59,7 +59,7 @@ def section(measured: Sequence[Measured]) -> str:
 
 
 def with_section(text: str, made: str) -> str:
-    """The text with what is between the two marks replaced.
+    """Return the text with what is between the two marks replaced.
 
     Raises:
         ValueError: It has not each mark once, in this order.
@@ -71,7 +71,7 @@ def with_section(text: str, made: str) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line."""
+    """Run the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m compare.paper.readme_table", description=str(__doc__).partition("\n")[0]
     )

@@ -1,4 +1,4 @@
-"""What a figure of the paper is asked with."""
+"""The request for a figure of the paper."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from dataclasses import dataclass, field as default
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from compare.cases.case import Case, content_of
+from compare.cases.case import content_of
+from compare.cases.default_cases import case_of_subject
 from compare.errors import InputError
 from compare.runs.subject import Subject, check_shape, prepare_subject
 
@@ -22,7 +23,7 @@ MESHES = ("bunny.off", "cactus.off", "rocker-arm.obj", "bar.off", "armadillo.obj
 
 @dataclass(frozen=True)
 class Request:
-    """Where the pictures go, and how they are to be made."""
+    """A folder for the pictures, and how they are to be made."""
 
     folder: Path
     meshes: Path | None = None  # a folder with some of MESHES
@@ -32,7 +33,7 @@ class Request:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What decides the numbers, as plain data; of the meshes, their content."""
+        """Return what decides the numbers, as plain data; of the meshes, their content."""
         meshes = {Path(path).name: content_of(path) for path in self.shapes(*MESHES)}
         return {"quick": self.quick, "seed": self.seed, "meshes": meshes}
 
@@ -51,21 +52,21 @@ class Request:
         return [sentence for path in paths for sentence in check_shape(path)]
 
     def shapes(self, *files: str, bundled: Sequence[str] = ()) -> list[str]:
-        """The bundled shapes, and those of the files that are in the folder of meshes, as names of shapes."""
+        """Return the bundled shapes, and those of the files that are in the folder of meshes, as names of shapes."""
         found = (
             [] if self.meshes is None else [str(self.meshes / name) for name in files if (self.meshes / name).is_file()]
         )
         return [*bundled, *found]
 
     def subject(self, shape: str, *, vertices: int | None = None, activation: str | None = None) -> Subject:
-        """A shape as a field and a mesh; a fit is kept in the folder and read back when asked for again."""
+        """Return a shape as a field and a mesh; a fit is kept in the folder and read back the next time."""
         fit: dict[str, Any] = {"steps": 600} if self.quick else {}
         if activation is not None:
             fit["activation"] = activation
         settings: dict[str, Any] = {"vertices": 1200, "resolution": 48} if self.quick else {}
         if vertices is not None:
             settings["vertices"] = vertices
-        case = Case(shape, "smooth", parameters={"fit": fit} if fit else {}, seed=self.seed, **settings)
+        case = case_of_subject(shape, fit, seed=self.seed, **settings)
         try:
             return prepare_subject(case, folder=self.folder, progress=self.tell)
         except (ValueError, OSError) as error:

@@ -21,6 +21,9 @@ from numpy import ndarray
 
 import meshref
 from compare.cases.case import Case
+from compare.cases.subject import Subject
+from compare.operations.operation import Outcome, Target
+from compare.operations.rigid import strain
 from compare.paper.findings import Finding
 from compare.paper.panels import same_frame
 from compare.paper.request import Request
@@ -28,11 +31,10 @@ from compare.paper.rigidity import mesh_seconds, pulled_case, rigidity
 from compare.paper.scenes import PAPER, rigid_scene
 from compare.reports.figures import HELD, MOVED, SURFACE, paint
 from compare.reports.views import Camera, View
-from compare.runs.measure import measure, strain
-from compare.runs.operations import Outcome, Wanted, edit_field, edit_mesh, edit_mesh_by_arap, wanted_motion
-from compare.runs.subject import Subject
+from compare.runs.measure import measure
+from compare.runs.operations import edit_by_all, target_motion
 
-SIDES = {"neural": "neural field", "Killing": "mesh, Killing", "ARAP": "mesh, ARAP"}
+SIDES = {"implicit": "neural field", "mesh": "mesh, Killing", "mesh, ARAP": "mesh, ARAP"}
 ENERGIES = {
     "killing_energy": "tangential energy, int |P(J+J')P|² [length², shape's units]",
     "killing_ambient": "ambient energy, int |J+J'|² [length², shape's units]",
@@ -61,7 +63,7 @@ class _Scene:
     name: str
     case: Case
     subject: Subject
-    wanted: Wanted
+    target: Target
     outcomes: Mapping[str, Outcome]
 
     def density(self, side: str) -> Float[ndarray, " n"]:
@@ -69,9 +71,9 @@ class _Scene:
         return 4 * strain(self.subject, self.outcomes[side].displacement) ** 2
 
     def energies(self, side: str) -> dict[str, Any]:
-        """All numbers of one side, in the user's units."""
+        """Return all numbers of one side, in the user's units."""
         V, F, D = self.subject.V, self.subject.F, self.outcomes[side].displacement
-        row = measure(self.case, self.subject, self.wanted, self.outcomes[side], strain(self.subject, D))
+        row = measure(self.case, self.subject, self.target, self.outcomes[side], strain(self.subject, D))
         return {**row, "arap": meshref.arap_energy(V, F, V + D) * self.subject.scale**2}
 
 
@@ -93,15 +95,11 @@ def draw(request: Request) -> list[Finding]:
 
 def _edited(shape: str, subject: Subject, request: Request) -> _Scene:
     case = rigid_scene(shape, subject, quick=request.quick, seed=request.seed)
-    wanted = wanted_motion(case, subject)
-    outcomes = {
-        "neural": edit_field(case, subject),
-        "Killing": edit_mesh(case, subject, wanted),
-        "ARAP": edit_mesh_by_arap(case, subject, wanted),
-    }
+    target = target_motion(case, subject)
+    outcomes = edit_by_all(case, subject, target)
     path = Path(shape)
     name = f"{path.stem} ({path.name})" if path.suffix else path.stem
-    return _Scene(name, case, subject, wanted, outcomes)
+    return _Scene(name, case, subject, target, outcomes)
 
 
 def _energies(scene: _Scene) -> list[Finding]:
@@ -111,8 +109,8 @@ def _energies(scene: _Scene) -> list[Finding]:
         for key, energy in ENERGIES.items():
             paper, note = None, ""
             values = PAPER.get(Path(scene.case.shape).stem)
-            if key == "killing_notebook" and values and side != "ARAP":
-                paper, note = values[side != "neural"], PAPER_NOTE
+            if key == "killing_notebook" and values and side != "mesh, ARAP":
+                paper, note = values[side != "implicit"], PAPER_NOTE
             what = f"{scene.name}, {words}: {energy}"
             headline = paper is not None and _is_the_papers(scene.case.shape)
             findings.append(Finding("rigid", what, row[key], paper, note, headline))
@@ -146,7 +144,7 @@ def _small_step(shape: str, subject: Subject, name: str, request: Request) -> li
 
 
 def _is_the_papers(shape: str) -> bool:
-    """Whether the paper has numbers for the shape: the bundled cactus, which is no file, is another than its own."""
+    """Return whether the paper has numbers for the shape; the bundled cactus, no file, is another than its own."""
     return Path(shape).stem in PAPER and bool(Path(shape).suffix)
 
 
@@ -157,8 +155,8 @@ def _picture(scenes: list[_Scene]) -> Figure:
         camera = CAMERAS.get(Path(scene.case.shape).stem, Camera(30.0))
         V, F = scene.subject.V, scene.subject.F
         palette = np.array([SURFACE, *(HELD if handle.holds else MOVED for handle in scene.case.handles)])
-        colours = palette[scene.wanted.handle][F].mean(axis=1)
-        paint(row[0], View(V, F, scene.wanted.handle.astype(float)), colours, camera)
+        colours = palette[scene.target.handle][F].mean(axis=1)
+        paint(row[0], View(V, F, scene.target.handle.astype(float)), colours, camera)
         row[0].set_title(f"{scene.name}\nheld blue, moved orange", fontsize=7)
         limit = max(float(np.quantile(scene.density(side), 0.98)) for side in SIDES)
         for axes, (side, words) in zip(row[1:], SIDES.items(), strict=True):

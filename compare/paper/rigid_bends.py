@@ -20,14 +20,16 @@ from numpy import ndarray
 
 import implicit
 import meshref
-from compare.cases.case import Case, HandleSpec
+from compare.cases.case import Case
+from compare.cases.handles import HandleSpec
+from compare.cases.subject import Subject
+from compare.operations.operation import Target
 from compare.paper.findings import Finding
 from compare.paper.panels import panel, same_frame, surface_view
 from compare.paper.request import Request
 from compare.reports.figures import HELD, MOVED, SURFACE, paint
 from compare.reports.views import Camera, View
-from compare.runs.operations import Wanted, wanted_motion
-from compare.runs.subject import Subject
+from compare.runs.operations import target_motion
 
 TWIST, BEND = 135.0, 90.0  # degrees
 STEPS = {"twist": 27, "bend": 18}  # of 5 degrees
@@ -44,7 +46,7 @@ class _Bend:
 
     what: str
     subject: Subject
-    wanted: Wanted
+    target: Target
     free: implicit.Edit
     held: implicit.Edit
     arap: Float[ndarray, "n 3"]  # where the vertices went
@@ -56,16 +58,16 @@ class _Bend:
         return float(np.ptp(self.subject.V, axis=0).max())
 
     def distance(self, edit: implicit.Edit) -> float:
-        """Two-sided Hausdorff distance of the edited surface and the mesh's, over the box."""
+        """Return the two-sided Hausdorff distance of the edited surface and the mesh's, over the box."""
         V, F = implicit.extract_mesh(edit.field, 128)
         return self.from_arap(V, F)
 
     def from_arap(self, V: Float[ndarray, "k 3"], F: Int[ndarray, "m 3"]) -> float:
-        """The same of any mesh."""
+        """Return the two-sided Hausdorff distance of any mesh and the mesh's, over the box."""
         return meshref.hausdorff(V, F, self.arap, self.subject.F) / self.box
 
     def volume_change(self, edit: implicit.Edit) -> float:
-        """Of the field itself, relative."""
+        """Return the relative change of the volume of the field itself."""
         before, after = (
             implicit.integrate(field, implicit.Volume(), 96).value for field in (self.subject.field, edit.field)
         )
@@ -86,7 +88,7 @@ def draw(request: Request) -> list[Finding]:
 
 
 def turning_handles(subject: Subject, what: str, degrees: float) -> tuple[HandleSpec, ...]:
-    """One end of the longest axis held, the other turned about that axis, or bent so that the axis becomes an arc."""
+    """Return one end of the longest axis held, the other turned about that axis, or bent so that it becomes an arc."""
     low, high = subject.V.min(axis=0), subject.V.max(axis=0)
     _, wide, along = np.argsort(high - low)
     axes, angle = np.eye(3), degrees * pi / 180
@@ -113,7 +115,7 @@ def turning_handles(subject: Subject, what: str, degrees: float) -> tuple[Handle
 
 def arap_along_the_path(subject: Subject, case: Case, steps: int) -> Float[ndarray, "n 3"]:
     """ARAP with the handles at each part of their path in turn, from where the last part left it."""
-    held = np.flatnonzero(wanted_motion(case, subject).at)
+    held = np.flatnonzero(target_motion(case, subject).at)
     solver = meshref.ArapSolver(subject.V, subject.F, held)
     U = subject.V
     for step in range(1, steps + 1):
@@ -122,8 +124,8 @@ def arap_along_the_path(subject: Subject, case: Case, steps: int) -> Float[ndarr
 
 
 def killing_along_the_path(subject: Subject, case: Case, steps: int) -> Float[ndarray, "n 3"]:
-    """A Killing least squares for each part of the path, on the mesh as the last part left it."""
-    held = np.flatnonzero(wanted_motion(case, subject).at)
+    """Solve a Killing least squares for each part of the path, on the mesh as the last part left it."""
+    held = np.flatnonzero(target_motion(case, subject).at)
     U = subject.V
     for step in range(1, steps + 1):
         way = _path(subject, case, step / steps)[held] - U[held]
@@ -132,7 +134,7 @@ def killing_along_the_path(subject: Subject, case: Case, steps: int) -> Float[nd
 
 
 def _path(subject: Subject, case: Case, fraction: float) -> Float[ndarray, "n 3"]:
-    """The vertices, those that handles hold where they are to be after the fraction of the way."""
+    """Return the vertices, those that handles hold where they are to be after the fraction of the way."""
     points, normals = torch.from_numpy(subject.V), torch.from_numpy(subject.N)
     goal = subject.V.copy()
     for spec in case.handles:
@@ -152,7 +154,7 @@ def _bent(request: Request, what: str, shape: str, subject: Subject, degrees: fl
     held = implicit.rigid_edit(subject.field, handles, constraints=(implicit.Volume(),), **options)
     words = f"{shape}, {what} by {degrees:.3g} degrees in {steps} steps"
     arap, killing = arap_along_the_path(subject, case, steps), killing_along_the_path(subject, case, steps)
-    return _Bend(words, subject, wanted_motion(case, subject), free, held, arap, killing)
+    return _Bend(words, subject, target_motion(case, subject), free, held, arap, killing)
 
 
 def _bar(request: Request) -> str:
@@ -191,7 +193,7 @@ def _picture(bends: list[_Bend]) -> Figure:
     grid = figure.subplots(len(bends), 4, squeeze=False)
     palette = np.array([SURFACE, HELD, MOVED])
     for row, bend in zip(grid, bends, strict=True):
-        V, F, handle = bend.subject.V, bend.subject.F, bend.wanted.handle
+        V, F, handle = bend.subject.V, bend.subject.F, bend.target.handle
         colours = palette[handle][F].mean(axis=1)
         paint(row[0], View(V, F, np.zeros(len(V))), colours, CAMERA)
         row[0].set_title(bend.what.replace(" by", "\nby"), fontsize=7)

@@ -1,4 +1,4 @@
-"""How rigid a small neural step is, and how fast, beside the Killing least squares of the mesh.
+"""Rigidity and time of a small neural step beside the Killing least squares of the mesh.
 
 Both sides are linear, or nearly, for a small motion, so that energies can be divided. A field cannot place its handles
 exactly, and a handle that lags costs less energy: the mesh's handles are therefore held by springs, as stiff as leaves
@@ -21,7 +21,7 @@ import meshref
 from compare.cases.case import Case
 from compare.cases.default_cases import default_cases
 from compare.paper.scenes import pulled_less
-from compare.runs.operations import wanted_motion
+from compare.runs.operations import target_motion
 from compare.runs.subject import Subject, common_mesh
 from meshref.killing import Form
 from meshref.primitives import split_in_four
@@ -68,15 +68,15 @@ def rigidity(shape: str, subject: Subject, *, points: int = POINTS, part: float 
     """
     V, F = subject.V, subject.F
     case = pulled_case(shape, subject, part)
-    wanted = wanted_motion(case, subject)
-    handles = np.flatnonzero(wanted.at)
-    goal = wanted.displacement[handles]
+    target = target_motion(case, subject)
+    handles = np.flatnonzero(target.at)
+    moved = target.displacement[handles]
 
     def missed(D: Float[ndarray, "n 3"]) -> float:
-        return float(np.sqrt(((D[handles] - goal) ** 2).sum(axis=1).mean()) / wanted.largest)
+        return float(np.sqrt(((D[handles] - moved) ** 2).sum(axis=1).mean()) / target.largest)
 
     def by_mesh(penalty: float) -> Float[ndarray, "n 3"]:
-        return meshref.killing(V, F, handles, goal, method="soft", penalty=penalty).displacement
+        return meshref.killing(V, F, handles, moved, method="soft", penalty=penalty).displacement
 
     neural, seconds = neural_step(case, subject, points=points, seed=seed)
     error = missed(neural)
@@ -97,7 +97,7 @@ def rigidity(shape: str, subject: Subject, *, points: int = POINTS, part: float 
 
 
 def pulled_case(shape: str, subject: Subject, part: float = PART) -> Case:
-    """The pull of `default_cases`, a part as long."""
+    """Return the pull of `default_cases`, a part as long."""
     (case,) = default_cases(shape, subject.V, subject.N, operations=("rigid",))
     return pulled_less(case, part)
 
@@ -105,7 +105,7 @@ def pulled_case(shape: str, subject: Subject, part: float = PART) -> Case:
 def neural_step(
     case: Case, subject: Subject, *, points: int = POINTS, seed: int = 0
 ) -> tuple[Float[ndarray, "n 3"], float]:
-    """One step of the case: how it moves the common mesh, and its seconds without those of sampling."""
+    """Return one step of the case: how it moves the common mesh, and its seconds without those of sampling."""
     handles = [spec.build() for spec in case.handles]
     sample = implicit.sample_surface(subject.field, points, "farthest", seed=seed)
     edit = implicit.rigid_edit(subject.field, handles, points=sample, track=torch.from_numpy(subject.V), seed=seed)
@@ -116,17 +116,17 @@ def neural_step(
 
 
 def mesh_seconds(case: Case, subject: Subject, vertices: int) -> Timing:
-    """The mesh Killing least squares of the case on a mesh of the same surface."""
+    """Return the mesh Killing least squares of the case on a mesh of the same surface."""
     V, F = mesh_of(subject.field, vertices)
     finer = replace(subject, V=V, F=F, N=subject.field.normal(torch.from_numpy(V)).numpy())
-    wanted = wanted_motion(case, finer)
-    handles = np.flatnonzero(wanted.at)
-    result = meshref.killing(V, F, handles, wanted.displacement[handles])
+    target = target_motion(case, finer)
+    handles = np.flatnonzero(target.at)
+    result = meshref.killing(V, F, handles, target.displacement[handles])
     return Timing(len(V), sum(result.seconds.values()), result.solver)
 
 
 def mesh_of(field: implicit.Field, vertices: int) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"]]:
-    """A mesh of the field's surface with about as many vertices, by splitting where remeshing would take long."""
+    """Return a mesh of the field's surface with about as many vertices, by splitting where remeshing takes long."""
     splits = 0
     while vertices / 4**splits > REMESHED:
         splits += 1

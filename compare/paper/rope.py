@@ -49,7 +49,7 @@ def draw(request: Request) -> list[Finding]:
 
 
 def _circle(request: Request) -> Field:
-    """A network of the paper's kind, in the plane, fitted to the exact distance to a circle."""
+    """Return a network of the paper's kind, in the plane, fitted to the exact distance to a circle."""
     generator = torch.Generator().manual_seed(request.seed)
     count = 20_000
     angles = 2 * torch.pi * torch.rand(count, generator=generator, dtype=torch.float64)

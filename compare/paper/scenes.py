@@ -16,16 +16,18 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from compare.cases.case import Case, HandleSpec
-from compare.cases.default_cases import FULL, QUICK, default_cases
-from compare.runs.subject import Subject
+from compare.cases.case import Case
+from compare.cases.default_cases import default_cases
+from compare.cases.handles import HandleSpec
+from compare.cases.registry import OPERATIONS
+from compare.cases.subject import Subject
 
 # Energies of the paper's section 4.3, neural and mesh. The shape's name tells the scene.
 PAPER = {"bunny": (320.0, 254.0), "cactus": (6.0, 11.0)}
 
 
 def rigid_scene(shape: str, subject: Subject, *, quick: bool = False, **settings: Any) -> Case:
-    """The rigid edit that belongs to a shape.
+    """Return the rigid edit that belongs to a shape.
 
     Args:
         shape: As for Case; a file is known by its name.
@@ -37,11 +39,12 @@ def rigid_scene(shape: str, subject: Subject, *, quick: bool = False, **settings
     if make is None:
         (case,) = default_cases(shape, subject.V, subject.N, operations=("rigid",), quick=quick, **settings)
         return case
-    return Case(shape, "rigid", make(subject), (QUICK if quick else FULL)["rigid"], **settings)
+    rules = OPERATIONS["rigid"]
+    return Case(shape, "rigid", make(subject), rules.quick if quick else rules.full, **settings)
 
 
 def pulled_less(case: Case, part: float) -> Case:
-    """The same scene with its vectors a part as long, for motions so small that both editors are linear.
+    """Return the same scene with its vectors a part as long, for motions so small that both editors are linear.
 
     Raises:
         ValueError: A handle moves otherwise than by a vector.

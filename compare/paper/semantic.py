@@ -126,7 +126,7 @@ def _picture(columns: list[tuple[FamilyEdit, Camera]], resolution: int) -> Figur
 
 
 def _draw_vectors(axes: Axes, edit: FamilyEdit, V: np.ndarray, camera: Camera) -> None:
-    """An arrow from the middle of each region, twice as long as the way so that it can be seen."""
+    """Draw an arrow from the middle of each region, twice as long as the way so that it can be seen."""
     right, up, _ = camera.axes()
     for handle in edit.handles:
         inside = handle.weights(torch.from_numpy(V).to(edit.field.theta)).numpy() > 0

@@ -23,7 +23,7 @@ SYMMETRY = "mirror symmetry from side to side, 1 is even and -1 odd [correlation
 
 
 def draw(request: Request) -> list[Finding]:
-    """The liveliest directions of the code at one chair, on it and on its nearest neighbour in the training set."""
+    """Draw the code's directions of the largest singular values at one chair, on it and on its nearest neighbour."""
     model = families.bundled("deepsdf-chairs")
     first = model.nearest(torch.tensor(list(model.family.ranges.values())).double().mean(dim=1))
     second = int((model.latents - model.latents[first]).norm(dim=1).argsort()[1])

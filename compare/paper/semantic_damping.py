@@ -1,4 +1,4 @@
-"""How damping trades steps against the rest of the shape [appendix B]: the same edits with lambda 10, 0.1 and 0.001."""
+"""Damping trades steps against the rest of the shape [appendix B]: the same edits with lambda 10, 0.1 and 0.001."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NETWORKS = "The paper's networks are those published, of 128 and 256 numbers a c
 
 
 def draw(request: Request) -> list[Finding]:
-    """Steps until a twentieth of what was asked is left, and how far all that was not prescribed has moved by then.
+    """Return the steps until a twentieth of the target is left, and how far what was not prescribed has moved by then.
 
     The more cautious an edit is, the less of the tolerance it leaves unused; so the motion is given per unit reached.
     """

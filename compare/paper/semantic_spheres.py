@@ -74,7 +74,7 @@ def _both_ways(edit: FamilyEdit, parameter: str, resolution: int) -> list[Findin
 def _grasped(
     decoder: DualSdf, code: torch.Tensor, points: torch.Tensor, ways: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """The spheres at the points, each to go where the points nearest to it go."""
+    """Return the spheres at the points, each to go where the points nearest to it go."""
     chosen = spheres_near(decoder, code, points)
     with torch.no_grad():
         centers = decoder.spheres(code)[1][chosen]

@@ -21,12 +21,12 @@ from numpy import ndarray
 
 import implicit
 import meshref
+from compare.cases.subject import Subject
 from compare.paper.findings import Finding
 from compare.paper.panels import camera_of, plain_colours
 from compare.paper.request import Request
 from compare.reports.figures import paint
 from compare.reports.views import Camera, View
-from compare.runs.subject import Subject
 
 PART = "smoothing"
 MARKS = (10, 30, 86)  # the steps shown, of which the last is the paper's number

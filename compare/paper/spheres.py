@@ -74,7 +74,7 @@ def sphere_edit(
 
 
 def spheres_near(decoder: DualSdf, code: Float[Tensor, " l"], points: Float[Tensor, "n 3"]) -> Int[Tensor, " k"]:
-    """The spheres whose surface is the nearest to one of the points: what a user would grasp there."""
+    """Return the spheres whose surface is the nearest to one of the points: what a user would grasp there."""
     with torch.no_grad():
         radii, centers = decoder.spheres(code)
         return ((points[:, None] - centers).norm(dim=2) - radii).abs().argmin(dim=1).unique()

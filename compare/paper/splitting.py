@@ -8,11 +8,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import implicit
+from compare.cases.subject import Subject
 from compare.paper.findings import Finding
 from compare.paper.panels import panel, same_frame, surface_view
 from compare.paper.request import Request
 from compare.reports.views import Camera, View
-from compare.runs.subject import Subject
 from implicit import Edit, HalfSpace, Handle
 from implicit.edits.targets import SummedTargets
 

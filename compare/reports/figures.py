@@ -21,10 +21,11 @@ from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
 from numpy import ndarray
 
-from compare.cases.case import HandleSpec
+from compare.cases.handles import HandleSpec
+from compare.operations.operation import operation_of
 from compare.reports.pyvista_painter import paint_with_pyvista, pyvista_trouble
 from compare.reports.views import PANES, Camera, View, azimuth_of, colour_limit, load_views, simplified
-from compare.runs.columns import COLUMNS, error_label, number, text
+from compare.runs.columns import column_of, error_label, number, text
 from compare.runs.records import Record
 
 Painter = Literal["auto", "pyvista", "matplotlib"]
@@ -78,18 +79,18 @@ def draw_figures(
     return written
 
 
-def usable_painter(wanted: Painter) -> tuple[Literal["pyvista", "matplotlib"], str | None]:
-    """The painter to take, and why it is not pyvista where that was left open.
+def usable_painter(chosen: Painter) -> tuple[Literal["pyvista", "matplotlib"], str | None]:
+    """Return the painter to take, and why it is not pyvista where that was left open.
 
     Raises:
         ValueError: It is to be pyvista, but that cannot draw here.
     """
-    if wanted == "matplotlib":
-        return wanted, None
+    if chosen == "matplotlib":
+        return chosen, None
     trouble = pyvista_trouble()
     if trouble is None:
         return "pyvista", None
-    if wanted == "pyvista":
+    if chosen == "pyvista":
         raise ValueError(f"pyvista cannot draw here: {trouble} Or take --painter matplotlib, which needs nothing more.")
     return "matplotlib", trouble
 
@@ -101,7 +102,7 @@ def picture(
     camera: Camera | None = None,
     painter: Literal["pyvista", "matplotlib"] = "matplotlib",
 ) -> Figure:
-    """Rows of before, neural field and mesh, a record each."""
+    """Return the rows of before, neural field and mesh, a record each."""
     draw = paint_with_pyvista if painter == "pyvista" else paint
     camera = camera or Camera(azimuth_of(records, folder))
     figure = Figure(figsize=(8.6, 2.75 * len(records)), layout="constrained")
@@ -160,31 +161,28 @@ def _error_colours(view: View, limit: float) -> Float[ndarray, "m 3"]:
 
 
 def _draw_motion(axes: Axes, view: View, record: Record, camera: Camera) -> None:
-    """An arrow for each handle that is moved by a vector, unless it points so much at the viewer that none is seen."""
+    """Draw an arrow for each handle that is moved by a vector, unless it points too much at the viewer to be seen."""
     screen = camera.axes()[:2]
     size = np.ptp(view.V @ screen.T, axis=0).max()
     for k, handle in enumerate(record.case.handles, start=1):
         held = view.V[view.values == k]
         if handle.motion["kind"] == "vector" and not handle.holds and len(held):
             start = screen @ held.mean(axis=0)
-            end = start + screen @ np.asarray(handle.motion["vector"]) * float(record.subject["scale"])
+            end = start + screen @ np.asarray(handle.motion["vector"]) * float(record.subject.scale)
             if np.linalg.norm(end - start) < 0.07 * size:
                 continue
             axes.annotate("", end, start, arrowprops={"arrowstyle": "->", "lw": 1.4}, zorder=5)
 
 
 def _headline(record: Record, side: str) -> str:
-    name, words = {
-        "geometric": ("error_relative", "error {} of the bump"),
-        "smooth": ("volume_drift", "volume {}"),
-        "rigid": ("killing_energy", "Killing energy {}"),
-    }[record.case.operation]
-    column = next(c for c in COLUMNS if c.name == name)
-    return words.format(text(number(record.sides[side], column), column))
+    headline = operation_of(record.case.operation).headline
+    column = column_of(headline.column)
+    assert column is not None  # or the operation names a number that no table has
+    return headline.words.format(text(number(record.sides[side], column), column))
 
 
 def _same_frame(row: Sequence[Axes]) -> None:
-    """One extent for all panes of a row, so that sizes can be compared."""
+    """Give one extent to all panes of a row, so that sizes can be compared."""
     x = np.array([axes.get_xlim() for axes in row])
     y = np.array([axes.get_ylim() for axes in row])
     for axes in row:

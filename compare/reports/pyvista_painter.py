@@ -43,7 +43,7 @@ assert plotter.screenshot(return_img=True).std() > 0
 
 @cache
 def pyvista_trouble() -> str | None:
-    """Why pyvista cannot draw here, in a sentence that says what to do, or None if it can."""
+    """Return why pyvista cannot draw here, in a sentence that says what to do, or None if it can."""
     if find_spec("pyvista") is None:
         return 'pyvista is not installed: pip install "implicit-vs-mesh[figures]".'
     if sys.platform == "linux":

@@ -91,7 +91,7 @@ def report(records: Sequence[Record], path: str | PathLike[str], *, folder: str 
 
 
 def _looks(records: Sequence[Record], folder: Path) -> list[tuple[Record, float]]:
-    """Each record with the direction to look from, the same for all of one shape."""
+    """Return each record with the direction to look from, the same for all of one shape."""
     from compare.reports.views import azimuth_of
 
     of_shape = {name: [r for r in records if r.case.name == name] for name in {r.case.name for r in records}}
@@ -100,7 +100,7 @@ def _looks(records: Sequence[Record], folder: Path) -> list[tuple[Record, float]
 
 
 def _scene(record: Record, folder: Path, faces: int, arrays: dict[str, str], azimuth: float) -> dict[str, Any]:
-    """What the browser needs to draw a case."""
+    """Return what the browser needs to draw a case."""
     from compare.reports.views import View, colour_limit, load_views, simplified
 
     views = {name: simplified(view, faces) for name, view in load_views(record, folder).items()}

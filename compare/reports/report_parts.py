@@ -15,7 +15,7 @@ from urllib.parse import quote
 
 from compare.cases.labels import labels
 from compare.files import plain
-from compare.runs.columns import COLUMNS, SIDE_COLOURS, SIDES, error_label, lines, text
+from compare.runs.columns import SIDE_COLOURS, SIDES, columns, error_label, lines, text
 from compare.runs.records import FILE, Record
 
 CHARTS = {"volume_drift": "volume, change in %", "area_drift": "area, change in %", "killing_energy": "Killing energy"}
@@ -30,7 +30,7 @@ FILES = {
 
 
 def table_of(records: Sequence[Record]) -> str:
-    """The sortable table: a line for each side of each record, in the order of their sections.
+    """Return the sortable table: a line for each side of each record, in the order of their sections.
 
     Where cases have shape and edit in common, as in a study, a column says in which settings they differ.
     """
@@ -39,7 +39,7 @@ def table_of(records: Sequence[Record]) -> str:
     names = "".join(f"<th><button>{name}</button></th>" for name in words_of)
     head = "".join(
         f'<th class="number" title="{html.escape(c.explains)}"><button>{html.escape(c.title)}</button></th>'
-        for c in COLUMNS
+        for c in columns()
     )
     body = []
     for number, (record, setting) in enumerate(zip(records, differ, strict=True)):
@@ -49,14 +49,14 @@ def table_of(records: Sequence[Record]) -> str:
             words = "".join(f"<td>{html.escape(word)}</td>" for word in (operation, *settings, side, method))
             cells = "".join(
                 f'<td class="number" data-value="{"" if value is None else repr(float(value))}">{text(value, c)}</td>'
-                for value, c in zip(values, COLUMNS, strict=True)
+                for value, c in zip(values, columns(), strict=True)
             )
             body.append(f"<tr><td>{link}</td>{words}{cells}</tr>")
     return f'<table id="results"><thead><tr>{names}{head}</tr></thead><tbody>{"".join(body)}</tbody></table>'
 
 
 def section_of(record: Record, number: int, setting: str, base: str, drawn: bool) -> str:
-    """A case.
+    """Return the section of a case.
 
     Args:
         record: It, not a failed one.
@@ -79,7 +79,7 @@ def section_of(record: Record, number: int, setting: str, base: str, drawn: bool
 
 
 def failures_of(records: Sequence[Record]) -> str:
-    """The list of failed cases with their reasons, if there are any."""
+    """Return the list of failed cases with their reasons, if there are any."""
     rows = "".join(
         f"<li>{html.escape(r.case.name)}, {html.escape(r.case.operation)}: {html.escape(r.status)}</li>"
         for r in records
@@ -89,7 +89,7 @@ def failures_of(records: Sequence[Record]) -> str:
 
 
 def summary_of(records: Sequence[Record], base: str) -> str:
-    """How many cases of how many shapes, when and where, and where the rows are."""
+    """Return how many cases of how many shapes, when and where, and where the rows are."""
     origin = records[0].provenance
     shapes = {r.case.name for r in records}
     words = f"{len(records)} case{'s' * (len(records) != 1)} on {len(shapes)} shape{'s' * (len(shapes) != 1)}; "
@@ -99,7 +99,7 @@ def summary_of(records: Sequence[Record], base: str) -> str:
 
 
 def curves_of(record: Record) -> list[dict[str, Any]]:
-    """What the charts of a record show, a line for each side; drifts in percent."""
+    """Return what the charts of a record show, a line for each side; drifts in percent."""
     lines = []
     for side, row in record.sides.items():
         rows = row.get("curve", [])
@@ -113,7 +113,7 @@ def curves_of(record: Record) -> list[dict[str, Any]]:
 
 
 def seen_from(page: Path, folder: Path) -> str:
-    """The folder as a relative address from the page's own folder; absolute where none is, as on another drive."""
+    """Return the folder's address relative to that of the page; absolute where there is none, as on another drive."""
     try:
         return Path(os.path.relpath(folder, page.absolute().parent)).as_posix()
     except ValueError:
@@ -141,8 +141,8 @@ def _pane_titles(record: Record) -> dict[str, str]:
     before = "before" if not record.case.handles else f"before; orange moves{', blue is held' if held else ''}"
     return {
         "before": before,
-        "implicit": f"neural field: {record.sides['implicit']['method']}",
-        "mesh": f"mesh: {record.sides['mesh']['method']}",
+        "implicit": f"neural field: {record.sides['implicit'].method}",
+        "mesh": f"mesh: {record.sides['mesh'].method}",
     }
 
 
@@ -177,18 +177,18 @@ def _href(base: str, path: str) -> str:
 
 
 def _numbers(record: Record) -> str:
-    columns = {
+    numbers = {
         side: {
             **{k: v for k, v in row.items() if _is_number(v)},
             **{f"seconds, {phase}": v for phase, v in row.get("seconds_by_phase", {}).items()},
         }
         for side, row in record.sides.items()
     }
-    names = list(dict.fromkeys(name for column in columns.values() for name in column))
-    head = "".join(f'<th class="number">{html.escape(SIDES.get(side, side))}</th>' for side in columns)
+    names = list(dict.fromkeys(name for column in numbers.values() for name in column))
+    head = "".join(f'<th class="number">{html.escape(SIDES.get(side, side))}</th>' for side in numbers)
     body = "".join(
         f"<tr><td>{html.escape(name)}</td>"
-        + "".join(f'<td class="number">{_figure(column.get(name))}</td>' for column in columns.values())
+        + "".join(f'<td class="number">{_figure(column.get(name))}</td>' for column in numbers.values())
         + "</tr>"
         for name in names
     )
@@ -209,7 +209,7 @@ def _numbers(record: Record) -> str:
 def _settings(record: Record) -> str:
     settings = html.escape(json.dumps(plain(record.case.to_dict()), indent=1))
     origin = html.escape(json.dumps(plain(record.provenance), indent=1))
-    return f"""<p>Handles are in the field's coordinates; one unit of them is {record.subject["scale"]:.6g} of the
+    return f"""<p>Handles are in the field's coordinates; one unit of them is {record.subject.scale:.6g} of the
 shape's own.</p><pre>{settings}</pre><pre>{origin}</pre>"""
 
 

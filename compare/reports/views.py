@@ -28,7 +28,7 @@ class View:
 
 
 def load_views(record: Record, folder: Path) -> dict[str, View]:
-    """The views of a record, in the order of PANES; empty for a failed record.
+    """Return the views of a record, in the order of PANES; empty for a failed record.
 
     Raises:
         FileNotFoundError: A file that the record names is gone.
@@ -37,7 +37,7 @@ def load_views(record: Record, folder: Path) -> dict[str, View]:
 
 
 def read_view(path: Path) -> View:
-    """A binary .ply with a vertex quality, as run_case writes it.
+    """Return a binary .ply with a vertex quality, as run_case writes it.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -53,7 +53,7 @@ def read_view(path: Path) -> View:
 
 
 def simplified(view: View, faces: int) -> View:
-    """The view with at most so many faces; each new vertex takes the number of the nearest old one."""
+    """Return the view with at most so many faces; each new vertex takes the number of the nearest old one."""
     if len(view.F) <= faces:
         return view
     import igl
@@ -91,7 +91,7 @@ def colour_limit(views: list[View]) -> float:
 
 @dataclass(frozen=True)
 class Camera:
-    """Where a picture is taken from, looking at the middle of the shape with the y axis up."""
+    """A viewpoint that looks at the middle of the shape with the y axis up."""
 
     azimuth: float  # degrees about the y axis, 0 looks along -z
     elevation: float = ELEVATION  # degrees above the horizon

@@ -3,58 +3,70 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
+from compare.operations.operation import Column, operation_of, operations
 from compare.runs.records import Record
-
-
-@dataclass(frozen=True)
-class Column:
-    """A number of one side of a record and how it is written."""
-
-    name: str
-    title: str
-    explains: str
-    percent: bool = False
-    brief: bool = True  # whether the table of a terminal, 80 characters wide, has it
-
 
 SIDES = {"implicit": "neural", "mesh": "mesh", "mesh, ARAP": "ARAP", "mesh, biharmonic": "biharmonic"}
 
 # Of a side's line in every chart; Okabe and Ito's, told apart with any kind of colour vision.
 SIDE_COLOURS = {"implicit": "#0072b2", "mesh": "#d55e00", "mesh, ARAP": "#009e73", "mesh, biharmonic": "#cc79a7"}
 
-COLUMNS = (
+# What every side has, before and after what single operations add.
+_JUDGED = (
     Column(
-        "killing_energy", "Killing", "Killing energy: integral of |P(J+J')P|² over the common mesh, a squared length"
+        "killing_energy",
+        "Killing",
+        "Killing energy: integral of |P(J+J')P|² over the common mesh, a squared length",
+        label="Killing energy",
     ),
     Column(
-        "volume_drift", "volume", "volume after over before, minus one; of the field itself for the neural side", True
+        "volume_drift",
+        "volume",
+        "volume after over before, minus one; of the field itself for the neural side",
+        percent=True,
+        label="drift of the volume",
     ),
-    Column("area_drift", "area", "area after over before, minus one; of the field itself for the neural side", True),
+    Column(
+        "area_drift",
+        "area",
+        "area after over before, minus one; of the field itself for the neural side",
+        percent=True,
+        label="drift of the area",
+    ),
     Column(
         "handle_error_relative",
         "missed",
         "rms distance from the targets, over the largest displacement asked for",
-        True,
+        percent=True,
+        label="handles missed, relative",
     ),
-    Column(
-        "error_relative", "normal", "the same of the motion along the normal alone, for geometric edits", True, False
-    ),
-    Column("strain_rms", "strain", "rms of the local linear strain, for rigid edits", True, False),
-    Column("seconds", "s", "seconds of the editor alone"),
-    Column("peak_memory", "MB", "peak memory of the editor, megabytes", False, False),
+)
+_COSTS = (
+    Column("seconds", "s", "seconds of the editor alone", label="seconds of the editor"),
+    Column("peak_memory", "MB", "peak memory of the editor, megabytes", brief=False),
 )
 
 
+def columns() -> tuple[Column, ...]:
+    """Return the columns of every table, in their order."""
+    own = [column for operation in operations() for column in operation.columns]
+    return (*_JUDGED, *own, *_COSTS)
+
+
+def column_of(name: str) -> Column | None:
+    """Return the column of a name; None where there is none."""
+    return next((column for column in columns() if column.name == name), None)
+
+
 def number(row: Mapping[str, Any], column: Column) -> float | None:
-    """The value of a column in one side of a record, or None where it has no meaning."""
+    """Return the value of a column in one side of a record, or None where it has no meaning."""
     return row.get(column.name)
 
 
 def text(value: float | None, column: Column) -> str:
-    """The value as a reader wants it."""
+    """Return the value as a reader likes to have it."""
     if value is None:
         return ""
     if column.percent:
@@ -66,20 +78,21 @@ def text(value: float | None, column: Column) -> str:
 
 
 def lines(record: Record) -> list[tuple[str, str, str, str, list[float | None]]]:
-    """A line for each side: shape, operation, side, method, and the values of COLUMNS."""
+    """Return a line for each side: shape, operation, side, method, and the values of the columns."""
     return [
         (
             record.case.name,
             record.case.operation,
             SIDES.get(side, side),
-            row["method"],
-            [number(row, c) for c in COLUMNS],
+            row.method,
+            [number(row, c) for c in columns()],
         )
         for side, row in record.sides.items()
     ]
 
 
 def error_label(record: Record) -> str:
-    """What the colours of a record mean, with the unit."""
-    unit = "a pure number" if record.case.operation == "rigid" else "in the shape's unit of length"
-    return f"{record.subject['error_means']}, {unit}"
+    """Return what the colours of a record mean, with the unit."""
+    is_length = operation_of(record.case.operation).error_is_length
+    unit = "in the shape's unit of length" if is_length else "a pure number"
+    return f"{record.subject.error_means}, {unit}"

@@ -1,4 +1,4 @@
-"""Where the cases of a study run: processes of this machine, or a dask cluster. Both are concurrent.futures.Executors.
+"""Executors for the cases of a study: processes of this machine or a dask cluster (concurrent.futures).
 
     Workers(n)              n fresh processes with one thread each; one that dies costs no other its case
     dask_executor(address)  the workers of a running dask scheduler
@@ -83,11 +83,6 @@ class Workers(Executor):
         else:
             self.stop()
 
-    @property
-    def pids(self) -> list[int]:
-        """The processes that run now."""
-        return [worker.pid for worker in self._started if worker.alive]
-
     def _do(self, task: Callable[..., Any], args: tuple[Any, ...], options: dict[str, Any]) -> Any:
         content = pickle.dumps((task, args, options))
         worker = self._idle.get()
@@ -133,15 +128,6 @@ class _Worker:
         other.close()  # the process has it now, and only the process: when it dies, this end says so
 
     @property
-    def pid(self) -> int:
-        assert self._process.pid is not None
-        return self._process.pid
-
-    @property
-    def alive(self) -> bool:
-        return self._process.is_alive()
-
-    @property
     def exit_code(self) -> int | None:
         return self._process.exitcode
 
@@ -182,7 +168,7 @@ def _one_thread() -> Iterator[None]:
 
 
 def _serve(pipe: Connection) -> None:
-    """What a worker process does until the pipe is closed."""
+    """Serve as a worker process until the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the whole group, and the parent sees to the rest
     threading.Thread(target=_end_with_parent, daemon=True).start()
     while True:
@@ -208,7 +194,7 @@ def _pickled(error: Exception) -> bytes:
 
 
 def _end_with_parent() -> None:
-    """A parent killed in the middle must not leave workers that write into a folder which a rerun takes over."""
+    """End with the parent, or workers would write on into a folder which a rerun takes over."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()
@@ -217,7 +203,7 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def executor_of(workers: int = 0, dask: str | None = None) -> Iterator[Executor | None]:
-    """What the options --workers and --dask ask for; None for neither, to work in this process.
+    """Yield what the options --workers and --dask ask for; None for neither, to work in this process.
 
     Raises:
         InputError: They cannot be had.
@@ -238,7 +224,7 @@ def executor_of(workers: int = 0, dask: str | None = None) -> Iterator[Executor 
 
 @contextmanager
 def dask_executor(address: str) -> Iterator[Executor]:
-    """The workers of a dask cluster. They must see the same files as this process, under the same paths.
+    """Yield the workers of a dask cluster. They must see the same files as this process, under the same paths.
 
     Args:
         address: Of the scheduler, such as tcp://host:8786. A Client itself is no Executor.

@@ -8,8 +8,8 @@ For a displacement D of the vertices of the common mesh (V, F):
     killing_spokes_and_rims   with a rotation for each vertex, which also feels bending
     volume_drift, area_drift  (after - before) / before; of the field itself for the neural side
     arap_energy               what as-rigid-as-possible deformation minimises, spokes and rims; charges no rotation
-    handle_error              distance of a handle vertex from where it was sent, rms and largest
-    error, strain             see ERROR_MEANS, by operation: mean, rms, 95th percentile and largest
+    handle_error              distance of a handle vertex from its target, rms and largest
+    error, strain             the operation's error_field: mean, rms, 95th percentile and largest
 
 docs/metrics.md has every number of a record with its formula, unit and source.
 
@@ -20,6 +20,7 @@ _drift are pure numbers.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -29,8 +30,9 @@ from numpy import ndarray
 import implicit
 import meshref
 from compare.cases.case import Case
-from compare.runs.operations import Halfway, Outcome, Wanted
-from compare.runs.subject import Subject
+from compare.cases.subject import Subject
+from compare.operations.operation import Halfway, Outcome, Target, operation_of
+from compare.runs.rows import BetweenRow, CurveRow, SideRow
 
 FORMS: dict[str, Literal["membrane", "ambient", "notebook", "spokes-and-rims"]] = {
     "killing_energy": "membrane",
@@ -39,77 +41,95 @@ FORMS: dict[str, Literal["membrane", "ambient", "notebook", "spokes-and-rims"]] 
     "killing_spokes_and_rims": "spokes-and-rims",
 }
 
-ERROR_MEANS = {
-    "geometric": "motion along the normal minus the wanted one",
-    "smooth": "motion along the normal minus that of the other representation",
-    "rigid": "local strain: half the root of the Killing energy density",
-}
-
-
-def error_field(case: Case, subject: Subject, wanted: Wanted, own: Outcome, other: Outcome) -> Float[ndarray, " n"]:
-    """The error at each vertex of the common mesh, in the field's units; what it means stands in ERROR_MEANS."""
-    if case.operation == "geometric":
-        return ((own.displacement - wanted.displacement) * subject.N).sum(axis=1)
-    if case.operation == "smooth":
-        return ((own.displacement - other.displacement) * subject.N).sum(axis=1)
-    return strain(subject, own.displacement)
-
-
-def strain(subject: Subject, D: Float[ndarray, "n 3"]) -> Float[ndarray, " n"]:
-    """Frobenius norm of the linear tangential strain at each vertex, the mean over its faces; a pure number."""
-    V, F = subject.V, subject.F
-    # P (J + J^T) P is twice the strain.
-    of_face = np.sqrt(meshref.killing_energy_density(V, F, D)) / 2
-    area = np.linalg.norm(np.cross(V[F[:, 1]] - V[F[:, 0]], V[F[:, 2]] - V[F[:, 0]]), axis=1) / 2
-    weight = np.bincount(F.ravel(), np.repeat(area, 3), len(V))
-    return np.bincount(F.ravel(), np.repeat(area * of_face, 3), len(V)) / weight
-
 
 def measure(
-    case: Case, subject: Subject, wanted: Wanted, outcome: Outcome, error: Float[ndarray, " n"]
-) -> dict[str, Any]:
-    """All numbers of one side."""
-    V, F, D, scale = subject.V, subject.F, outcome.displacement, subject.scale
-    moved = V + D
-    row: dict[str, Any] = {"method": outcome.method, "status": outcome.status, "complete": outcome.complete}
-    for name, form in FORMS.items():
-        unit = 1.0 if form == "notebook" else scale**2
-        row[name] = meshref.killing_energy(V, F, D, form=form) * unit
-    row["arap_energy"] = meshref.arap_energy(V, F, moved) * scale**2
-    before, after = meshref.volume(V, F), _volume(moved, F)
-    area_before, area_after = meshref.area(V, F), _area(moved, F)
-    row |= {
-        "volume_before": before * scale**3,
-        "volume_after": after * scale**3,
-        "volume_drift": after / before - 1,
-        "area_before": area_before * scale**2,
-        "area_after": area_after * scale**2,
-        "area_drift": area_after / area_before - 1,
-        "displacement_max": float(np.linalg.norm(D, axis=1).max()) * scale,
-    }
+    case: Case,
+    subject: Subject,
+    target: Target,
+    outcome: Outcome,
+    error: Float[ndarray, " n"],
+    *,
+    edited: Edited | None = None,
+) -> SideRow:
+    """Return all numbers of one side.
+
+    Args:
+        case: What was done.
+        subject: To what.
+        target: What the handles say.
+        outcome: Of one editor.
+        error: Of the outcome at each vertex, as the operation has it, in the field's units.
+        edited: Of the field itself, for the neural side; its volume and area take the place of the carried mesh's.
+    """
+    operation, scale = operation_of(case.operation), subject.scale
+    V, F, D = subject.V, subject.F, outcome.displacement
     weights = meshref.vertex_areas(V, F)
-    name, unit = ("strain", 1.0) if case.operation == "rigid" else ("error", scale)
-    row |= {f"{name}_{what}": value * unit for what, value in _statistics(error, weights).items()}
-    if wanted.largest > 0:
-        miss = np.linalg.norm(D - wanted.displacement, axis=1)[wanted.at]
-        rms = _rms(miss, weights[wanted.at])
-        row |= {
-            "handle_error_rms": rms * scale,
-            "handle_error_max": float(miss.max()) * scale,
-            "handle_error_relative": rms / wanted.largest,
-        }
-    if case.operation == "geometric":
-        row["error_relative"] = _rms(error, weights) / wanted.largest
-    return row | {
+    unit = scale if operation.error_is_length else 1.0
+    row = {
+        "method": outcome.method,
+        "status": outcome.status,
+        "complete": outcome.complete,
+        **_energies(subject, D),
+        **(_of_mesh(subject, V + D) if edited is None else edited.sizes),
+        "displacement_max": float(np.linalg.norm(D, axis=1).max()) * scale,
+        **{f"{operation.error_name}_{what}": value * unit for what, value in _statistics(error, weights).items()},
+        **_missed(subject, target, D, weights),
         "seconds": outcome.seconds,
         "seconds_by_phase": dict(outcome.seconds_by_phase),
         "peak_memory": outcome.peak_memory,
         "details": dict(outcome.details),
+        **({} if edited is None else {"bodies": edited.bodies}),
+    }
+    if operation.error_over_target:
+        row["error_relative"] = _rms(error, weights) / target.largest
+    return SideRow.from_row({**row, "curve": curve(subject, outcome, row)})
+
+
+def _energies(subject: Subject, D: Float[ndarray, "n 3"]) -> dict[str, float]:
+    V, F, square = subject.V, subject.F, subject.scale**2
+    row = {
+        name: meshref.killing_energy(V, F, D, form=form) * (1.0 if form == "notebook" else square)
+        for name, form in FORMS.items()
+    }
+    return {**row, "arap_energy": meshref.arap_energy(V, F, V + D) * square}
+
+
+def _of_mesh(subject: Subject, moved: Float[ndarray, "n 3"]) -> dict[str, float]:
+    """Return volume and area of the common mesh before, and of its moved vertices."""
+    before, after = meshref.volume(subject.V, subject.F), _volume(moved, subject.F)
+    area_before, area_after = meshref.area(subject.V, subject.F), _area(moved, subject.F)
+    return _sizes(subject.scale, (before, after), (area_before, area_after))
+
+
+def _sizes(scale: float, volume: tuple[float, float], area: tuple[float, float]) -> dict[str, float]:
+    """Return volume and area before and after, given in the field's units, in the user's."""
+    return {
+        "volume_before": volume[0] * scale**3,
+        "volume_after": volume[1] * scale**3,
+        "volume_drift": volume[1] / volume[0] - 1,
+        "area_before": area[0] * scale**2,
+        "area_after": area[1] * scale**2,
+        "area_drift": area[1] / area[0] - 1,
     }
 
 
-def curve(subject: Subject, outcome: Outcome, row: Mapping[str, Any]) -> list[dict[str, float]]:
-    """How an edit went on its way, for drawing: a row for the start, and one after each step or for the only solve.
+def _missed(
+    subject: Subject, target: Target, D: Float[ndarray, "n 3"], weights: Float[ndarray, " n"]
+) -> dict[str, float]:
+    """Return how far the handles ended from their targets; nothing where there are none."""
+    if target.largest == 0:
+        return {}
+    miss = np.linalg.norm(D - target.displacement, axis=1)[target.at]
+    rms = _rms(miss, weights[target.at])
+    return {
+        "handle_error_rms": rms * subject.scale,
+        "handle_error_max": float(miss.max()) * subject.scale,
+        "handle_error_relative": rms / target.largest,
+    }
+
+
+def curve(subject: Subject, outcome: Outcome, row: Mapping[str, Any]) -> list[CurveRow]:
+    """Return how an edit went on its way: a row for the start, and one after each step or for the only solve.
 
     Of the common mesh carried along; where the editor measured the field itself in every step, of the field.
 
@@ -120,36 +140,44 @@ def curve(subject: Subject, outcome: Outcome, row: Mapping[str, Any]) -> list[di
     """
     V, F, scale = subject.V, subject.F, subject.scale
     volume, area = meshref.volume(V, F), meshref.area(V, F)
-    rows = [dict.fromkeys(("step", "seconds", "volume_drift", "area_drift", "killing_energy"), 0.0)]
+    rows = [CurveRow(step=0.0, seconds=0.0, volume_drift=0.0, area_drift=0.0, killing_energy=0.0)]
     for step, at in enumerate(outcome.path or [Halfway(outcome.displacement, outcome.seconds)], start=1):
         moved = V + at.displacement
-        now = {
-            "volume_drift": _volume(moved, F) / volume - 1,
-            "area_drift": _area(moved, F) / area - 1,
-            "killing_energy": meshref.killing_energy(V, F, at.displacement) * scale**2,
-        }
+        volume_drift, area_drift = _volume(moved, F) / volume - 1, _area(moved, F) / area - 1
         if at.volume is not None and at.area is not None:
-            now["volume_drift"] = at.volume * scale**3 / row["volume_before"] - 1
-            now["area_drift"] = at.area * scale**2 / row["area_before"] - 1
-        rows.append({"step": float(step), "seconds": at.seconds, **now})
+            volume_drift = at.volume * scale**3 / row["volume_before"] - 1
+            area_drift = at.area * scale**2 / row["area_before"] - 1
+        rows.append(
+            CurveRow(
+                step=float(step),
+                seconds=at.seconds,
+                volume_drift=volume_drift,
+                area_drift=area_drift,
+                killing_energy=meshref.killing_energy(V, F, at.displacement) * scale**2,
+            )
+        )
     return rows
 
 
+@dataclass(frozen=True)
+class Edited:
+    """Measures of the edited field itself, apart from the common mesh."""
+
+    sizes: Mapping[str, float]  # volume and area, before and after, and their drifts
+    bodies: int  # of the extracted mesh
+
+
 def measure_field(subject: Subject, edited: implicit.Field, resolution: int = 64) -> dict[str, float]:
-    """Volume and area of the field itself before and after, by fourth-order quadrature.
+    """Return volume and area of the field itself before and after, by fourth-order quadrature.
 
     They take the place of those of the common mesh carried along, which has the error of its flat triangles.
     """
     samples = [(field, implicit.surface_quadrature(field, resolution)) for field in (subject.field, edited)]
-    row: dict[str, float] = {}
-    for name, functional, power in (("volume", implicit.Volume(), 3), ("area", implicit.Area(), 2)):
-        before, after = (functional.value(field, sample) for field, sample in samples)
-        row |= {
-            f"{name}_before": before * subject.scale**power,
-            f"{name}_after": after * subject.scale**power,
-            f"{name}_drift": after / before - 1,
-        }
-    return row
+    (volume, volume_after), (area, area_after) = (
+        [functional.value(field, sample) for field, sample in samples]
+        for functional in (implicit.Volume(), implicit.Area())
+    )
+    return _sizes(subject.scale, (volume, volume_after), (area, area_after))
 
 
 def between(
@@ -157,20 +185,20 @@ def between(
     first: tuple[Float[ndarray, "n 3"], ndarray],
     second: tuple[Float[ndarray, "m 3"], ndarray],
     seed: int,
-) -> dict[str, float]:
-    """Two-sided distances between the two results, meshes in the field's coordinates."""
+) -> BetweenRow:
+    """Return two-sided distances between the two results, meshes in the field's coordinates."""
     distance = meshref.surface_distance(*first, *second, seed=seed)
-    return {
-        "chamfer": distance.chamfer * subject.scale,
-        "hausdorff": distance.hausdorff * subject.scale,
-        "distance_rms": distance.rms * subject.scale,
-        "normal_consistency": distance.normal_consistency,
-        "iou": meshref.iou(*first, *second, seed=seed),
-    }
+    return BetweenRow(
+        chamfer=distance.chamfer * subject.scale,
+        hausdorff=distance.hausdorff * subject.scale,
+        distance_rms=distance.rms * subject.scale,
+        normal_consistency=distance.normal_consistency,
+        iou=meshref.iou(*first, *second, seed=seed),
+    )
 
 
 def _statistics(values: Float[ndarray, " n"], weights: Float[ndarray, " n"]) -> dict[str, float]:
-    """Of a number a vertex: mean and rms over the area, the magnitude that 95 % of the area stay below, the largest."""
+    """Return mean and rms over the area of a number a vertex, the magnitude that 95 % stay below, and the largest."""
     size = np.abs(values)
     order = np.argsort(size)
     share = np.cumsum(weights[order]) / weights.sum()

@@ -1,4 +1,4 @@
-"""How much memory a call needs at its peak, as the operating system sees it.
+"""Peak memory of a call, as the operating system sees it.
 
 Memory of torch, of CHOLMOD and of igl is not Python's, so no tracer of Python's allocations knows it; and the largest
 size of a process since its start says nothing of a call that comes late. Linux can forget that largest size (writing 5
@@ -37,7 +37,7 @@ class _Watch:
 
 
 def with_peak_memory(call: Callable[[], T]) -> tuple[T, float | None]:
-    """The result of a call and its peak memory in megabytes (1e6 bytes).
+    """Return the result of a call and its peak memory in megabytes (1e6 bytes).
 
     The second is None where it cannot be known: not on Linux, or when another call was watched meanwhile.
     """

@@ -1,4 +1,4 @@
-"""Where a record is from: what its numbers may depend on, so that they can be had again, or a difference explained."""
+"""Provenance of a record: what its numbers may depend on, so that they can be had again, or a difference explained."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def provenance(case: Case) -> dict[str, Any]:
 
 
 def surroundings() -> dict[str, Any]:
-    """When and where this process runs, and with which versions."""
+    """Return when and where this process runs, and with which versions."""
     import torch
 
     return {
@@ -45,7 +45,7 @@ def surroundings() -> dict[str, Any]:
 
 
 def input_of(shape: str) -> dict[str, Any]:
-    """What a shape's name stood for: its content, and the state of the git checkout that the file lies in."""
+    """Return what a shape's name stood for: its content, and the git checkout that the file lies in."""
     try:
         content = content_of(shape)
     except OSError:  # the file has gone since; the record says what became of it
@@ -55,7 +55,7 @@ def input_of(shape: str) -> dict[str, Any]:
 
 
 def _git_state(path: Path) -> dict[str, Any] | None:
-    """The commit that a file's checkout stands at, and whether the file is as committed; None outside of git."""
+    """Return the commit that a file's checkout stands at, and whether the file is as committed; None outside of git."""
     commit = _git(path, "rev-parse", "HEAD")
     status = _git(path, "status", "--porcelain", "--ignored", "--", path.name)
     if commit is None or status is None:

@@ -1,4 +1,4 @@
-"""What a case gave, kept as one line of JSON.
+"""The record of a case, kept as one line of JSON.
 
 A study may be killed at any moment and its rows must survive: a row is one write to a file opened for appending,
 followed by fsync; a last line cut short by a crash is cut away before the next row is appended, and skipped on
@@ -19,6 +19,7 @@ from typing import Any
 
 from compare.cases.case import Case
 from compare.files import plain, unwritten
+from compare.runs.rows import BetweenRow, SideRow, SubjectRow
 
 SCHEMA = 1
 FILE = "results.jsonl"
@@ -33,29 +34,48 @@ class Artefact:
 
     @classmethod
     def of(cls, path: Path, folder: Path) -> Artefact:
-        """The artefact for a file that was just written under the folder."""
+        """Return the artefact for a file that was just written under the folder."""
         return cls(path.relative_to(folder).as_posix(), hashlib.sha256(path.read_bytes()).hexdigest())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Record:
-    """One case, what both representations made of it, and what is needed to believe it."""
+    """One case, what both representations made of it, and what is needed to believe it.
+
+    Its rows may be given as any mapping, and are kept as those of `compare.runs.rows`: numbers by name, as in
+    record.sides["implicit"]["volume_drift"], or by attribute.
+    """
 
     case: Case
     key: str
     status: str  # a sentence
     failed: bool = False
-    subject: Mapping[str, Any] = default(default_factory=dict)  # the common mesh: vertices, volume, area, scale, ...
-    sides: Mapping[str, Mapping[str, Any]] = default(default_factory=dict)  # "implicit", "mesh" -> numbers and words
-    between: Mapping[str, Any] = default(default_factory=dict)  # distances between the two results
+    subject: SubjectRow = default(default_factory=SubjectRow)  # the common mesh: vertices, volume, area, scale, ...
+    sides: Mapping[str, SideRow] = default(default_factory=dict)  # "implicit", "mesh" -> numbers and words
+    between: BetweenRow = default(default_factory=BetweenRow)  # distances between the two results
     seconds: Mapping[str, float] = default(default_factory=dict)  # of the phases that both sides share
     notes: tuple[str, ...] = ()  # sentences: what was mended, what a reader should know
     artefacts: Mapping[str, Artefact] = default(default_factory=dict)
     provenance: Mapping[str, Any] = default(default_factory=dict)
     schema: int = SCHEMA
 
+    def __post_init__(self) -> None:
+        sides = {name: SideRow.from_row(row) for name, row in self.sides.items()}
+        object.__setattr__(self, "subject", SubjectRow.from_row(self.subject))
+        object.__setattr__(self, "sides", sides)
+        object.__setattr__(self, "between", BetweenRow.from_row(self.between))
+
+    def __repr__(self) -> str:
+        """Return the case and how it ended in a line, and the main numbers of each side in one each."""
+        lines = [f"Record({self.key}, {self.case}, {self.status!r:.160})"]
+        names = ("killing_energy", "volume_drift", "handle_error_relative", "seconds")
+        for side, row in self.sides.items():
+            numbers = (f"{name} {row[name]:.3g}" for name in names if row.get(name) is not None)
+            lines.append(f"  {side}: {', '.join(numbers)}")
+        return "\n".join(lines)
+
     def to_dict(self) -> dict[str, Any]:
-        """Plain data; numbers that JSON cannot say are None."""
+        """Return plain data; numbers that JSON cannot say are None."""
         row = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         row["case"] = self.case.to_dict()
         row["artefacts"] = {name: dataclasses.asdict(a) for name, a in self.artefacts.items()}
@@ -63,7 +83,7 @@ class Record:
 
     @classmethod
     def from_dict(cls, row: Mapping[str, Any]) -> Record:
-        """The record that `to_dict` wrote.
+        """Return the record that `to_dict` wrote.
 
         Raises:
             ValueError: The row is of a newer schema, or no record.
@@ -104,7 +124,7 @@ def append(path: str | PathLike[str], record: Record) -> None:
 
 
 def read(path: str | PathLike[str]) -> list[Record]:
-    """All records of a file (or of a run folder), in the order they were written.
+    """Return all records of a file (or of a run folder), in the order they were written.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -133,7 +153,7 @@ def read(path: str | PathLike[str]) -> list[Record]:
 
 
 def latest(path: str | PathLike[str]) -> list[Record]:
-    """The last record of each case in a file or run folder, as `read`: a case that failed may have been run again."""
+    """Return the last record of each case, as `read` does all: a case that failed may have been run again."""
     return list({record.key: record for record in read(path)}.values())
 
 

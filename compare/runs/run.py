@@ -7,7 +7,6 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from os import PathLike
 from pathlib import Path
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -17,14 +16,17 @@ from scipy.spatial import cKDTree
 import implicit
 import meshref
 from compare.cases.case import Case
+from compare.cases.subject import Subject
 from compare.errors import Progress
+from compare.operations.operation import Outcome, Target, operation_of
 from compare.runs import records
 from compare.runs.columns import SIDES
-from compare.runs.measure import ERROR_MEANS, between, curve, error_field, measure, measure_field
-from compare.runs.operations import Outcome, Wanted, edit_by_all, wanted_motion
+from compare.runs.measure import Edited, between, measure, measure_field
+from compare.runs.operations import edit_by_all, target_motion
 from compare.runs.provenance import provenance
 from compare.runs.records import Artefact, Record
-from compare.runs.subject import Subject, describe, prepare_subject
+from compare.runs.rows import SideRow
+from compare.runs.subject import describe, prepare_subject
 
 
 def run_case(
@@ -52,35 +54,36 @@ def run_case(
     """
     folder = None if folder is None else Path(folder)
     subject = prepare_subject(case, folder=folder, progress=progress)
-    wanted = wanted_motion(case, subject)
-    sides = edit_by_all(case, subject, wanted, progress)
+    operation = operation_of(case.operation)
+    target = target_motion(case, subject)
+    sides = edit_by_all(case, subject, target, progress)
     errors = {
-        name: error_field(case, subject, wanted, side, sides["mesh" if name == "implicit" else "implicit"])
+        name: operation.error_field(subject, target, side, sides["mesh" if name == "implicit" else "implicit"])
         for name, side in sides.items()
     }
 
     start = perf_counter()
-    rows = {name: measure(case, subject, wanted, side, errors[name]) for name, side in sides.items()}
-    edited = sides["implicit"].field
-    assert edited is not None
-    result = implicit.extract_mesh(edited, case.resolution)
-    rows["implicit"] |= measure_field(subject, edited)
-    rows["implicit"]["bodies"] = meshref.component_count(*result)
-    for name, side in sides.items():
-        rows[name]["curve"] = curve(subject, side, rows[name])
+    field = sides["implicit"].field
+    assert field is not None
+    result = implicit.extract_mesh(field, case.resolution)
+    edited = Edited(measure_field(subject, field), meshref.component_count(*result))
+    rows = {
+        name: measure(case, subject, target, side, errors[name], edited=edited if name == "implicit" else None)
+        for name, side in sides.items()
+    }
     distances = between(subject, result, (subject.V + sides["mesh"].displacement, subject.F), case.seed)
     seconds = {**subject.seconds, "measures": perf_counter() - start}
 
     artefacts: Mapping[str, Artefact] = {}
     if folder is not None and keep_meshes:
         start = perf_counter()
-        artefacts = _write(case, subject, wanted, sides, errors, result, folder)
+        artefacts = _write(case, subject, target, sides, errors, result, folder)
         seconds["files"] = perf_counter() - start
     record = Record(
         case=case,
         key=case.key,
         status=" ".join(f"{name}: {sides[name].status}" for name in ("implicit", "mesh")),
-        subject={**describe(subject), "error_means": ERROR_MEANS[case.operation]},
+        subject=describe(subject, operation.error_means),
         sides=rows,
         between=distances,
         seconds=seconds,
@@ -144,7 +147,7 @@ def run_cases(
 def _results(
     cases: Sequence[Case], executor: Executor, folder: Path | None, keep_meshes: bool
 ) -> Generator[Record, None, None]:
-    """Records as they come. In a folder, the first case of a subject goes ahead and prepares what the others share."""
+    """Yield records as they come. In a folder, the first case of a subject prepares what the others share."""
 
     def group_of(case: Case) -> str:
         return case.key if folder is None else case.subject_key
@@ -192,11 +195,11 @@ def _failure(case: Case, error: Exception) -> Record:
     return Record(case, case.key, f"Failed. {reason}", failed=True, provenance=provenance(case))
 
 
-def _remarks(case: Case, subject: Subject, rows: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """What a reader of the numbers must know: which editor stopped short, and a surface that fell to pieces."""
+def _remarks(case: Case, subject: Subject, rows: Mapping[str, SideRow]) -> list[str]:
+    """Return what a reader of the numbers must know: which editor stopped short, and a surface that fell to pieces."""
     what = f"{case.name}, {case.operation}"
-    remarks = [f"{what}, {SIDES[name]}: {row['status']}" for name, row in rows.items() if not row["complete"]]
-    before, after = meshref.component_count(subject.V, subject.F), rows["implicit"]["bodies"]
+    remarks = [f"{what}, {SIDES.get(name, name)}: {row.status}" for name, row in rows.items() if not row.complete]
+    before, after = meshref.component_count(subject.V, subject.F), rows["implicit"].bodies
     if before != after:
         remarks.append(
             f"{what}: the surface of the field is in {after} pieces after the edit, and was in {before} before."
@@ -207,13 +210,13 @@ def _remarks(case: Case, subject: Subject, rows: Mapping[str, Mapping[str, Any]]
 def _write(
     case: Case,
     subject: Subject,
-    wanted: Wanted,
+    target: Target,
     sides: Mapping[str, Outcome],
     errors: Mapping[str, Float[ndarray, " n"]],
     result: tuple[Float[ndarray, "k 3"], ndarray],
     folder: Path,
 ) -> dict[str, Artefact]:
-    """The edited field, and three meshes in the user's units: before, with the number of the handle as
+    """Write the edited field, and three meshes in the user's units: before, with the number of the handle as
     vertex quality, and the two results, with the error."""
     stem = f"{case.name}-{case.operation}-{case.key}"
     paths = {
@@ -227,9 +230,9 @@ def _write(
     edited = sides["implicit"].field
     assert edited is not None
     implicit.save_field(edited, paths["field"])
-    length = 1.0 if case.operation == "rigid" else subject.scale
+    length = subject.scale if operation_of(case.operation).error_is_length else 1.0
 
-    meshref.write_mesh(paths["before"], subject.to_user(subject.V), subject.F, quality=wanted.handle.astype(float))
+    meshref.write_mesh(paths["before"], subject.to_user(subject.V), subject.F, quality=target.handle.astype(float))
     V, F = result
     error = _carried_over(subject.V + sides["implicit"].displacement, errors["implicit"], V)
     meshref.write_mesh(paths["implicit"], subject.to_user(V), F, quality=error * length)
@@ -241,7 +244,7 @@ def _write(
 def _carried_over(
     points: Float[ndarray, "n 3"], values: Float[ndarray, " n"], V: Float[ndarray, "k 3"]
 ) -> Float[ndarray, " k"]:
-    """Values known at points, at other points of the same surface: the mean of the three nearest, by closeness."""
+    """Return values known at points, at other points of the surface: the mean of the three nearest, by closeness."""
     distance, nearest = cKDTree(points).query(V, k=3)
     weight = 1 / np.maximum(distance, 1e-12)
     return (values[nearest] * weight).sum(axis=1) / weight.sum(axis=1)

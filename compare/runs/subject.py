@@ -8,44 +8,22 @@ from __future__ import annotations
 
 import difflib
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field as default
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
 from compare.cases.case import BUNDLED, FIELD_SUFFIX, MESH_SUFFIXES, Case
+from compare.cases.subject import Subject
 from compare.errors import InputError, Progress
 from compare.files import plain, replace_file
+from compare.runs.rows import SubjectRow
 
 if TYPE_CHECKING:
     from implicit import Field
-
-
-@dataclass(frozen=True, eq=False)
-class Subject:
-    """A field, its surface as a mesh, and how they came about."""
-
-    field: Field
-    V: Float[ndarray, "n 3"]  # on the surface, in the field's coordinates
-    F: Int[ndarray, "m 3"]
-    N: Float[ndarray, "n 3"]  # the field's outward normals at V
-    notes: tuple[str, ...] = ()  # sentences: what was mended, what the fit says of itself
-    fit: Mapping[str, Any] | None = None
-    seconds: Mapping[str, float] = default(default_factory=dict)
-
-    @property
-    def scale(self) -> float:
-        """The user's units per unit of the field."""
-        return float(self.field.units.scale)
-
-    def to_user(self, points: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
-        """Points of the field in the user's units."""
-        return points * self.scale + np.asarray(self.field.units.offset)
 
 
 def check_shape(shape: str) -> list[str]:
@@ -71,7 +49,7 @@ def check_shape(shape: str) -> list[str]:
 
 
 def _require_file(shape: str) -> str | None:
-    """The ending of the file that holds a shape, None for a bundled one, or a refusal of what is neither."""
+    """Return the ending of the file that holds a shape, None for a bundled one; refuse what is neither."""
     path = Path(shape)
     if shape in BUNDLED:
         return None
@@ -91,7 +69,7 @@ def _require_file(shape: str) -> str | None:
 
 
 def load_mesh(path: str) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"], list[str]]:
-    """The closed, outward mesh of one body in a file, and what was mended, in sentences.
+    """Return the closed, outward mesh of one body in a file, and what was mended, in sentences.
 
     Raises:
         InputError: It cannot be read or mended, or holds several bodies.
@@ -112,7 +90,7 @@ def load_mesh(path: str) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"], li
 
 
 def prepare_subject(case: Case, *, folder: Path | None = None, progress: Progress | None = None) -> Subject:
-    """The subject of a case; with a folder, kept there and read back when another case has the same.
+    """Return the subject of a case; with a folder, kept there and read back when another case has the same.
 
     Args:
         case: Of it, the shape, the settings of the fit, the number of vertices, the resolution and the seed count.
@@ -189,7 +167,7 @@ class _Files:
 def common_mesh(
     field: Field, vertices: int, resolution: int
 ) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"], list[str]]:
-    """The field's surface as even triangles with about the number of vertices asked for, all on f = 0.
+    """Return the field's surface as even triangles with about that number of vertices, all on f = 0.
 
     Returns:
         The largest body of the surface, and a sentence if there are others.
@@ -225,22 +203,27 @@ def _fit(case: Case, progress: Progress | None) -> tuple[Field, dict[str, Any], 
     return fitted, report.to_dict(), [*notes, f"The fit of a field to {case.name}: {report.verdict}"]
 
 
-def describe(subject: Subject) -> dict[str, Any]:
-    """The subject in numbers, in the user's units."""
+def describe(subject: Subject, error_means: str) -> SubjectRow:
+    """Return the subject in numbers, in the user's units.
+
+    Args:
+        subject: What was edited.
+        error_means: The error of a vertex in words, as the operation has it.
+    """
     import meshref
 
-    scale = subject.scale
-    sides = (subject.V.max(axis=0) - subject.V.min(axis=0)) * scale
-    return {
-        "vertices": len(subject.V),
-        "faces": len(subject.F),
-        "parameters": subject.field.theta.numel(),
-        "scale": scale,
-        "offset": list(subject.field.units.offset),
-        "sides": sides,
-        "volume": meshref.volume(subject.V, subject.F) * scale**3,
-        "area": meshref.area(subject.V, subject.F) * scale**2,
-        "genus": meshref.genus(subject.V, subject.F),
-        "bodies": meshref.component_count(subject.V, subject.F),
-        "fit": subject.fit,
-    }
+    V, F, scale = subject.V, subject.F, subject.scale
+    return SubjectRow(
+        vertices=len(V),
+        faces=len(F),
+        parameters=subject.field.theta.numel(),
+        scale=scale,
+        offset=tuple(subject.field.units.offset),
+        sides=tuple(((V.max(axis=0) - V.min(axis=0)) * scale).tolist()),
+        volume=meshref.volume(V, F) * scale**3,
+        area=meshref.area(V, F) * scale**2,
+        genus=meshref.genus(V, F),
+        bodies=meshref.component_count(V, F),
+        fit=subject.fit,
+        error_means=error_means,
+    )

@@ -1,4 +1,4 @@
-"""What a study gave, as a table and as curves."""
+"""The result of a study as a table and as curves."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from compare.files import replace_file
-from compare.runs.columns import COLUMNS, SIDE_COLOURS, SIDES, Column, number
+from compare.runs.columns import SIDE_COLOURS, SIDES, column_of, columns, number
 from compare.runs.records import Record
 from compare.studies.study import Chart, Study, settings_at
 
@@ -22,16 +22,6 @@ from compare.studies.study import Chart, Study, settings_at
 MARKERS = "osD^vP*X"
 DASHES = ("-", "--", ":", "-.")
 DPI = 150
-
-# What the columns of the table are called where there is more room; the others keep their titles.
-LABELS = {
-    "killing_energy": "Killing energy",
-    "volume_drift": "drift of the volume",
-    "area_drift": "drift of the area",
-    "handle_error_relative": "handles missed, relative",
-    "error_relative": "normal error, relative",
-    "seconds": "seconds of the editor",
-}
 
 
 @dataclass(frozen=True)
@@ -42,8 +32,8 @@ class Point:
     side: str
 
     def value(self, name: str) -> Any:
-        """A setting of the case or a measured number, by name; None where it has none."""
-        column = _column(name)
+        """Return a setting of the case or a measured number, by name; None where it has none."""
+        column = column_of(name)
         if column is not None:
             return number(self.record.sides[self.side], column)
         from compare.cases.settings import setting_of
@@ -52,28 +42,26 @@ class Point:
 
 
 def write_table(study: Study, records: Sequence[Record], path: Path) -> None:
-    """A line for each case and method: the shape, what was varied, and the numbers; for a failed case, its reason."""
+    """Write a line for each case and method: shape, what was varied, and numbers; for a failed case, its reason."""
     from compare.cases.settings import setting_of
 
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
-    names = [column.name for column in COLUMNS]
+    names = [column.name for column in columns()]
     rows.writerow(["shape", "operation", *study.varied, "by", "method", *names, "complete", "status", "key"])
     for record in records:
         case = record.case
         head = [case.name, case.operation, *(_word(setting_of(case, name)) for name in study.varied)]
         for side, row in record.sides.items():
-            numbers = [_word(number(row, column)) for column in COLUMNS]
-            rows.writerow(
-                [*head, SIDES.get(side, side), row["method"], *numbers, row["complete"], row["status"], record.key]
-            )
+            numbers = [_word(number(row, column)) for column in columns()]
+            rows.writerow([*head, SIDES.get(side, side), row.method, *numbers, row.complete, row.status, record.key])
         if record.failed:
-            rows.writerow([*head, "", "", *("" for _ in COLUMNS), False, record.status, record.key])
+            rows.writerow([*head, "", "", *("" for _ in columns()), False, record.status, record.key])
     replace_file(path, text.getvalue().encode())
 
 
 def curves(study: Study, records: Sequence[Record], chart: Chart) -> dict[tuple[str, ...], list[tuple[Any, float]]]:
-    """The points (x, y) of each curve of a chart, in the order of the grid.
+    """Return the points (x, y) of each curve of a chart, in the order of the grid.
 
     Returns:
         By the shape, the operation, the side, and the other varied settings as words. Points without x or y (a case
@@ -100,7 +88,7 @@ def curves(study: Study, records: Sequence[Record], chart: Chart) -> dict[tuple[
 
 
 def _is_last(point: Point, study: Study, axis: str) -> bool:
-    """Whether a point is at the end of an axis; what should be there may have failed."""
+    """Return whether a point is at the end of an axis; what should be there may have failed."""
     return all(point.value(name) == value for name, value in settings_at(axis, study.grid[axis][-1]).items())
 
 
@@ -159,17 +147,13 @@ def _draw(axes: Axes, study: Study, chart: Chart, lines: dict[tuple[str, ...], l
 
 
 def _axis_label(name: str, against_last: bool = False) -> str:
-    column = _column(name)
+    column = column_of(name)
     if column is None:
         return name
-    title = LABELS.get(name, column.title)
+    title = column.label or column.title
     if against_last:
         return f"{title}: relative difference to the last"
     return f"|{title}|" if name.endswith("_drift") else title
-
-
-def _column(name: str) -> Column | None:
-    return next((column for column in COLUMNS if column.name == name), None)
 
 
 def _word(value: Any) -> str:

@@ -19,11 +19,12 @@ from numpy import ndarray
 
 import implicit
 import meshref
-from compare.cases.case import BUNDLED, FIELD_SUFFIX, MESH_SUFFIXES, Case, Operation
+from compare.cases.case import BUNDLED, FIELD_SUFFIX, MESH_SUFFIXES, Case
 from compare.cases.default_cases import QUICK_FIT, QUICK_SIZE, default_cases
-from compare.cases.settings import OF_A_CASE, OF_SMOOTHING, parts_of, with_settings
+from compare.cases.settings import OF_A_CASE, parts_of, with_settings
 from compare.errors import InputError
 from compare.fitting.fit import fit_mesh, place_in_cube
+from compare.operations.operation import operation_of
 from compare.runs.subject import load_mesh
 from compare.studies.study import Study, settings_at
 from implicit.renamed import former_names
@@ -36,21 +37,11 @@ CELLS_TO_FIT = 128  # and for the mesh of a bundled shape, to which networks are
 # What compare hands to the editors itself, beside what takes more than plain data.
 OURS = {"track", "progress", "seed", "constraints", "checkpoint", "units"}
 
-
-# What stands behind implicit.NAME, mesh.NAME and fit.NAME.
-FITS: tuple[Callable[..., Any], ...] = (fit_mesh, implicit.fit_field)
-EDITORS: dict[tuple[str, Operation], tuple[Callable[..., Any], ...]] = {
-    ("implicit", "geometric"): (implicit.geometric_edit,),
-    ("implicit", "smooth"): (implicit.smooth,),
-    ("implicit", "rigid"): (implicit.rigid_edit,),
-    ("mesh", "geometric"): (),
-    ("mesh", "smooth"): (meshref.mean_curvature_flow,),
-    ("mesh", "rigid"): (meshref.killing,),
-}
+FITS: tuple[Callable[..., Any], ...] = (fit_mesh, implicit.fit_field)  # what stands behind fit.NAME
 
 
 def plan(study: Study, inputs: Path) -> list[Case]:
-    """All cases of a study, in the order of shapes, operations and grid.
+    """Return all cases of a study, in the order of shapes, operations and grid.
 
     Args:
         study: Whose shapes have been checked.
@@ -67,7 +58,7 @@ def plan(study: Study, inputs: Path) -> list[Case]:
         fit = QUICK_FIT if study.quick and Path(shape).suffix.lower() in MESH_SUFFIXES else {}
         settings = QUICK_SIZE if study.quick else {}
         for base in default_cases(shape, V, N, operations=study.operations, quick=study.quick, fit=fit, **settings):
-            if study.handles and base.operation != "smooth":
+            if study.handles and base.handles:
                 base = replace(base, handles=study.handles)
             for point in combinations(study):
                 cases.append(with_settings(base, {**study.settings, **point}))
@@ -75,14 +66,14 @@ def plan(study: Study, inputs: Path) -> list[Case]:
 
 
 def combinations(study: Study) -> Iterator[dict[str, Any]]:
-    """The settings at each point of the grid; the last axis changes fastest."""
+    """Yield the settings at each point of the grid; the last axis changes fastest."""
     axes = [[settings_at(axis, value) for value in values] for axis, values in study.grid.items()]
     for point in itertools.product(*axes):
         yield {name: value for part in point for name, value in part.items()}
 
 
 def outline(shape: str) -> tuple[Float[ndarray, "n 3"], Float[ndarray, "n 3"]]:
-    """Points spread evenly over a shape, in the coordinates its field has or will have, and outward normals there."""
+    """Return points spread evenly over a shape, in its field's coordinates, and outward normals there."""
     if Path(shape).suffix.lower() in MESH_SUFFIXES:
         V, F, _ = load_mesh(shape)
         V, _ = place_in_cube(V)
@@ -102,7 +93,7 @@ def check_options(study: Study) -> None:
         idle = [operation for operation in study.operations if not _takes(name, operation)]
         if idle and (name in study.varied or len(idle) == len(study.operations)):
             part, _, option = name.removeprefix(f"{idle[0]}.").rpartition(".")
-            options = sorted(_options(part, idle[0]))
+            options = sorted(options_of(part, idle[0]))
             close = difflib.get_close_matches(option, options, n=1)
             hint = f" Did you mean {name.removesuffix(option)}{close[0]}?" if close else ""
             raise InputError(
@@ -114,19 +105,20 @@ def check_options(study: Study) -> None:
         raise InputError(f"The study sets how networks are fitted, but {fields[0]} is one already. Name its mesh.")
 
 
-def _takes(name: str, operation: Operation) -> bool:
+def _takes(name: str, operation: str) -> bool:
     parts = parts_of(name, operation)
-    return parts is not None and parts[-1] in _options(".".join(parts[:-1]), operation)
+    return parts is not None and parts[-1] in options_of(".".join(parts[:-1]), operation)
 
 
-def _options(part: str, operation: Operation) -> set[str]:
-    """The options of the functions that stand behind a part of the settings, as far as they are plain data."""
+def options_of(part: str, operation: str) -> set[str]:
+    """Return the options of the functions that stand behind a part of the settings, as far as they are plain data."""
+    chosen = operation_of(operation)
     if part == "fit":
         functions = FITS
     elif part in ("implicit", "mesh"):
-        functions = EDITORS[part, operation]
+        functions = chosen.option_sources()[part]
     else:
-        return set(OF_A_CASE) | (set(OF_SMOOTHING) if operation == "smooth" else set())
+        return {*OF_A_CASE, *chosen.settings}
     names = {
         name
         for function in functions
@@ -134,7 +126,7 @@ def _options(part: str, operation: Operation) -> set[str]:
         if parameter.kind is parameter.KEYWORD_ONLY and name not in OURS
     }
     names |= {old for function in functions for old in former_names(function)}  # of files of before
-    return names - set(OF_SMOOTHING) if operation == "smooth" and part != "fit" else names
+    return names if part == "fit" else names - set(chosen.settings)  # those stand at the top
 
 
 def _fits(study: Study) -> bool:
@@ -146,7 +138,7 @@ def _field(shape: str) -> implicit.Field:
 
 
 def _as_mesh(name: str, inputs: Path) -> str:
-    """The surface of a bundled shape in a file, for networks of other sizes to be fitted to."""
+    """Write the surface of a bundled shape to a file, for networks of other sizes to be fitted to."""
     path = inputs.absolute() / f"{name}.ply"
     path.parent.mkdir(parents=True, exist_ok=True)
     V, F = implicit.extract_mesh(_field(name), CELLS_TO_FIT)

@@ -24,14 +24,16 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field as default
 from importlib import resources
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
-from compare.cases.case import FIELD_SUFFIX, MESH_SUFFIXES, OPERATIONS, HandleSpec, Operation
+from compare.cases.case import FIELD_SUFFIX, MESH_SUFFIXES
+from compare.cases.handles import HandleSpec
 from compare.cases.labels import flat
-from compare.cases.settings import OF_A_CASE, OF_A_PART, OF_SMOOTHING
+from compare.cases.registry import OPERATIONS, own_settings
+from compare.cases.settings import OF_A_CASE, OF_A_PART
 from compare.errors import InputError
 from compare.files import plain
-from compare.runs.columns import COLUMNS
+from compare.runs.columns import columns
 
 KEYS = ("title", "shapes", "operations", "handles", "settings", "grid", "charts", "keep_meshes", "quick")
 
@@ -42,7 +44,7 @@ class Chart:
 
     Args:
         x: A setting of the grid, or a measured number.
-        y: A measured number, a name of compare.runs.columns.COLUMNS.
+        y: A measured number, a name of compare.runs.columns.columns().
         against_last: Whether to show |y - y_last| / |y_last| instead, with y_last where the grid's setting is last:
             how far from converged y is.
     """
@@ -52,9 +54,9 @@ class Chart:
     against_last: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Study:
-    """What is varied, over what, and which curves are drawn of it.
+    """A grid of settings to vary, over which shapes, and the curves drawn of it.
 
     Args:
         name: For the folder and the title of the chart.
@@ -72,7 +74,7 @@ class Study:
     name: str
     title: str
     shapes: tuple[str, ...]
-    operations: tuple[Operation, ...]
+    operations: tuple[str, ...]
     grid: Mapping[str, tuple[Any, ...]]
     settings: Mapping[str, Any] = default(default_factory=dict)
     handles: tuple[HandleSpec, ...] = ()
@@ -80,23 +82,30 @@ class Study:
     keep_meshes: bool = True
     quick: bool = False
 
+    def __repr__(self) -> str:
+        """Return what is varied over what, in one line."""
+        axes = "; ".join(f"{axis} in {list(values)!r:.80}" for axis, values in self.grid.items())
+        return (
+            f"Study({self.name}: {', '.join(self.operations)} of {', '.join(self.shapes)}{f'; {axes}' if axes else ''})"
+        )
+
     @property
     def varied(self) -> list[str]:
-        """The settings that the grid changes, in its order."""
+        """Names of the settings that the grid changes, in its order."""
         names = [name for axis, values in self.grid.items() for value in values for name in settings_at(axis, value)]
         return list(dict.fromkeys(names))
 
     def axis_of(self, setting: str) -> str:
-        """The axis of the grid that changes a setting."""
+        """Return the axis of the grid that changes a setting."""
         return next(axis for axis, values in self.grid.items() if setting in settings_at(axis, values[0]))
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """Return plain data for JSON."""
         return plain(asdict(self))
 
     @classmethod
     def from_dict(cls, row: Mapping[str, Any]) -> Study:
-        """The study that `to_dict` wrote."""
+        """Return the study that `to_dict` wrote."""
         return cls(
             **{
                 **row,
@@ -110,7 +119,7 @@ class Study:
 
 
 def built_in() -> dict[str, Study]:
-    """The studies that come along, by name."""
+    """Return the studies that come along, by name."""
     files = sorted((resources.files("compare.studies") / "builtin").iterdir(), key=lambda file: file.name)
     return {
         file.name.removesuffix(".toml"): parse_study(file.read_text(encoding="utf-8"), file.name, Path())
@@ -120,7 +129,7 @@ def built_in() -> dict[str, Study]:
 
 
 def find_study(name: str, *, quick: bool = False, shapes: Collection[str] = ()) -> Study:
-    """A built-in study by name, or one in a TOML file.
+    """Return a built-in study by name, or one in a TOML file.
 
     Args:
         name: Of it, or a path.
@@ -150,7 +159,7 @@ def find_study(name: str, *, quick: bool = False, shapes: Collection[str] = ()) 
 
 
 def parse_study(text: str, name: str, base: Path, *, quick: bool = False, shapes: Collection[str] = ()) -> Study:
-    """The study that a TOML text states.
+    """Return the study that a TOML text states.
 
     Args:
         text: See the top of this file, or docs/studies.md.
@@ -191,7 +200,7 @@ def parse_study(text: str, name: str, base: Path, *, quick: bool = False, shapes
         name=Path(name).stem,
         title=str(given.get("title", "")),
         shapes=tuple(_located(shape, Path()) for shape in shapes) or tuple(own),
-        operations=tuple(operation for operation in get_args(Operation) if operation in operations),
+        operations=tuple(operation for operation in OPERATIONS if operation in operations),
         grid={axis: tuple(values) for axis, values in grid.items()},
         settings=flat(_table(given.get("settings", {}), "settings", name)),
         handles=tuple(_handle(row, name) for row in _rows(given, "handles", name)),
@@ -207,8 +216,8 @@ def _check(study: Study, name: str) -> None:
     """Refuse what can be told without a shape or an editor; options of editors are checked by compare.studies.plan."""
     if twice := [shape for shape in study.shapes if study.shapes.count(shape) > 1]:
         raise InputError(f"{twice[0]} is named twice in {name}. Name each shape once.")
-    if study.handles and study.operations == ("smooth",):
-        raise InputError(f"{name} gives handles, but smoothing takes none.")
+    if study.handles and not any(OPERATIONS[operation].takes_handles for operation in study.operations):
+        raise InputError(f"{name} gives handles, but {' and '.join(study.operations)} takes none.")
     for setting in [*study.settings, *study.varied]:
         _require_setting(setting, study.operations, name)
     for setting, value in _values(study):
@@ -217,7 +226,11 @@ def _check(study: Study, name: str) -> None:
     places = [*study.settings, *(s for axis, values in study.grid.items() for s in settings_at(axis, values[0]))]
     if twice := [setting for setting in places if places.count(setting) > 1]:
         raise InputError(f"{twice[0]} is set in two places of {name}. Keep one.")
-    measured = [column.name for column in COLUMNS]
+    _check_charts(study, name)
+
+
+def _check_charts(study: Study, name: str) -> None:
+    measured = [column.name for column in columns()]
     for chart in study.charts:
         if chart.against_last and not study.grid:
             raise InputError(f"A chart in {name} is against the last of the grid, but there is no [grid].")
@@ -229,7 +242,7 @@ def _check(study: Study, name: str) -> None:
 
 
 def _values(study: Study) -> Iterator[tuple[str, Any]]:
-    """Every setting with every value that it takes."""
+    """Yield every setting with every value that it takes."""
     yield from study.settings.items()
     for axis, values in study.grid.items():
         for value in values:
@@ -242,17 +255,18 @@ def _require_setting(setting: str, operations: Iterable[str], name: str) -> None
         if parts[0] not in operations:
             raise InputError(f"The setting {setting} in {name} is for an operation that it does not name.")
         parts = parts[1:]
-    known = (*OF_A_CASE, *OF_SMOOTHING, *OF_A_PART)
+    at_the_top = (*OF_A_CASE, *own_settings())
+    known = (*at_the_top, *OF_A_PART)
     if not parts or parts[0] not in known or (len(parts) == 2) != (parts[0] in OF_A_PART):
         hint = _did_you_mean(parts[0] if parts else "", known)
         raise InputError(
-            f"There is no setting {setting} as in {name}; there are {', '.join((*OF_A_CASE, *OF_SMOOTHING))}, "
+            f"There is no setting {setting} as in {name}; there are {', '.join(at_the_top)}, "
             f"{', '.join(part + '.NAME' for part in OF_A_PART)}.{hint}"
         )
 
 
 def settings_at(axis: str, value: Any) -> Mapping[str, Any]:
-    """What one value of an axis sets."""
+    """Return what one value of an axis sets."""
     return value if isinstance(value, Mapping) else {axis: value}
 
 
@@ -265,7 +279,7 @@ def _merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
 
 
 def _located(shape: str, base: Path) -> str:
-    """The shape, as an absolute path if it is a file."""
+    """Return the shape, as an absolute path if it is a file."""
     is_file = Path(shape).suffix.lower() in (*MESH_SUFFIXES, FIELD_SUFFIX)
     return str((base / shape).absolute()) if is_file else shape
 

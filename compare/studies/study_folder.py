@@ -50,7 +50,7 @@ class Begun:
 
     @classmethod
     def read(cls, folder: Path) -> Begun:
-        """What `write` kept.
+        """Return what `write` kept.
 
         Raises:
             InputError: The file is not what a study writes.
@@ -140,11 +140,11 @@ def require_folder_of(study: Study, folder: Path) -> None:
 
 
 def finished(folder: Path) -> int:
-    """How many cases of the study in a folder are done, without failure."""
+    """Return how many cases of the study in a folder are done, without failure."""
     if not (folder / FILE).is_file():
         return 0
-    wanted = {case.key for case in Begun.read(folder).cases}
-    return len(wanted & {record.key for record in read(folder) if not record.failed})
+    planned = {case.key for case in Begun.read(folder).cases}
+    return len(planned & {record.key for record in read(folder) if not record.failed})
 
 
 def sum_up(study: Study, records: list[Record], folder: Path) -> None:
@@ -185,5 +185,5 @@ def _content(shape: str) -> str:
 
 
 def _is_of_a_beginning(path: Path) -> bool:
-    """Whether it is what a study leaves that was killed before its study.json was there."""
+    """Return whether it is what a study leaves that was killed before its study.json was there."""
     return path.name in (LOCK_FILE, INPUTS) or path.suffix == ".part"

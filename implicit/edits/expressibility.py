@@ -1,4 +1,4 @@
-"""How much of a prescribed displacement a field can express, said before the edit.
+"""Part of a prescribed displacement that a field can express, said before the edit.
 
 An edit in k steps, each aiming at its share y j / k of the target, comes to
 
@@ -21,7 +21,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.arguments import require_positive, require_whole
-from implicit.edits.geometric_parts import OFF_SURFACE_STRENGTH, Displacement, Splitting
+from implicit.edits.geometric_parts import OFF_SURFACE_STRENGTH, GeometricOperation, PartSchedule
 from implicit.edits.handles import Handle
 from implicit.edits.targets import Rest, SummedTargets, checked_handles
 from implicit.evolve.edit import REACHED_SHARE, EditStatus, require_options
@@ -145,8 +145,8 @@ def expressibility(
     targets_of = partial(SummedTargets, listed, rest=rest, least_alignment=least_alignment)
     sample = sample_surface(field, points, seed=seed)
     targets_of(sample.points, sample.normals).require_points_in_each_region()
-    splitting = Splitting(steps, 0.0)
-    operation = Displacement(field, targets_of, sample, splitting, damping, off_surface_strength, None, seed)
+    schedule = PartSchedule.of(steps)
+    operation = GeometricOperation(field, targets_of, sample, schedule, damping, off_surface_strength, None, seed)
     others = sample_surface(field, points, seed=seed + 1)
     displacement = targets_of(others.points, others.normals).target()
     solved = first_solve(field, operation, sample)

@@ -1,4 +1,4 @@
-"""Where a smoothing flow sends each point: its speed along the normal, and what makes one step of it implicit.
+"""Laws of motion for smoothing: the speed of each point along its normal, and what makes one step of it implicit.
 
 | flow | outward speed | lowers |
 |---|---|---|
@@ -22,7 +22,7 @@ from torch import Tensor
 
 from implicit.arguments import require_finite
 from implicit.field.field import Field
-from implicit.sensitivity.frame import Frame
+from implicit.sensitivity.frame import Frame, tangential_component
 from implicit.step.energies import Energy, NormalTarget, Smoothness
 from implicit.surface.quadrature import SurfaceSample
 
@@ -95,8 +95,7 @@ class Bending:
         self, field: Field, sample: SurfaceSample, kappa: Tensor, time: float, share: Tensor, implicit: bool
     ) -> Sequence[Energy]:
         total, slope = curvature_slope(field, sample.points)
-        normal = sample.normals
-        slope = slope - normal * (normal * slope).sum(dim=1, keepdim=True)
+        slope = tangential_component(slope, sample.normals)
         target = NormalTarget(sample.points, -time * share * (kappa**3 / 2 - total * kappa), sample.weights)
         steady = (2 * time) ** 0.5
         return [target, Smoothness(sample.points, steady * sample.weights, -(time / steady) * share[:, None] * slope)]
@@ -119,9 +118,7 @@ class Offset:
 
 def squared_curvatures(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
     """Return |A|^2, the sum of the squared principal curvatures (N,), per squared length."""
-    frame = Frame.at(field, points)
-    shape = frame.axes @ frame.normal_slopes @ frame.axes.transpose(1, 2)
-    return shape[:, :-1, :-1].square().sum(dim=(1, 2))
+    return Frame.at(field, points).shape_operator.square().sum(dim=(1, 2))
 
 
 def curvature_slope(field: Field, points: Float[Tensor, "n d"]) -> tuple[Float[Tensor, " n"], Float[Tensor, "n d"]]:

@@ -8,19 +8,17 @@ the next makes up for.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 
 from jaxtyping import Float
 from torch import Tensor
 
 from implicit.arguments import require_positive, require_whole
-from implicit.edits.geometric_parts import MOST_PARTS, OFF_SURFACE_STRENGTH, Displacement, Splitting
+from implicit.edits.geometric_parts import MOST_PARTS, OFF_SURFACE_STRENGTH, GeometricOperation, PartSchedule
 from implicit.edits.handles import Handle
 from implicit.edits.targets import Rest, SummedTargets, checked_handles
 from implicit.evolve.constraints import checked_constraints
-from implicit.evolve.edit import Edit, EditStatus, Progress, require_options
-from implicit.evolve.evidence import with_evidence
+from implicit.evolve.edit import Edit, Progress, require_options, with_evidence
 from implicit.evolve.evolve import evolve
 from implicit.field.field import Field
 from implicit.renamed import renamed
@@ -84,8 +82,8 @@ def geometric_edit(
     targets = targets_of(sample.points, sample.normals)
     targets.require_points_in_each_region()
     before = field_soundness(field, resolution)
-    splitting = Splitting(steps, targets.largest() / field.size)
-    operation = Displacement(field, targets_of, sample, splitting, damping, off_surface_strength, track, seed)
+    schedule = PartSchedule.of(steps, targets.largest() / field.size)
+    operation = GeometricOperation(field, targets_of, sample, schedule, damping, off_surface_strength, track, seed)
     edit = evolve(
         field,
         operation,
@@ -96,10 +94,8 @@ def geometric_edit(
         track=track,
         wanted=targets.target(),
         asked=lambda points, normals: _target_and_directions(targets_of(points, normals)),
-        progress=None if progress is None else lambda step, _, row: progress(step, splitting.count(step), row),
+        progress=progress,
     )
-    if edit.status is EditStatus.REACHED:  # the whole displacement was taken in fewer parts than there might have been
-        edit = replace(edit, status=EditStatus.DONE)
     return with_evidence(edit, before, resolution)
 
 

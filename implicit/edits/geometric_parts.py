@@ -1,13 +1,14 @@
 """One part of a geometric edit after the other: how far each goes, at which points, and what it minimises.
 
 Part j takes the sample's points from where they are to goal(x, t_j), along the current normal [paper, eq. 4, 5]. The
-fractions t_j are equal, or follow the linearity error that each part measures.
+fractions t_j are equal, or follow the linearisation error that each part measures.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -16,11 +17,14 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from implicit.edits.targets import SummedTargets
+from implicit.evolve.edit import EditStatus
+from implicit.evolve.operation import Outcome, State, Taken
 from implicit.field.field import Field
+from implicit.sensitivity.frame import tangential_component
 from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import Energy, NormalTarget
 from implicit.step.off_surface import off_surface
-from implicit.step.problem import Row, State, StepProblem
+from implicit.step.problem import DampingRule, Row, StepProblem
 from implicit.surface.projection import newton_to_surface
 from implicit.surface.quadrature import SurfaceSample
 from implicit.surface.sampling import sample_surface
@@ -33,136 +37,232 @@ LINEARITY = 0.012
 MOST_PARTS = 24
 
 # Points are drawn anew where their spacing has grown so that one stands for this many times the area it began with.
-THINNED = 2.0
+MOST_STRETCH = 2.0
 
 # Of the energy off the surface beside that on it: with it the bump of a tenth on the rocker arm leaves no stray piece
 # in 16 parts, and the error on the surface is as without.
 OFF_SURFACE_STRENGTH = 1e-2
 
 
-class Splitting:
-    """How far along each part goes: equal parts, or parts as large as the linearity error allows."""
+@dataclass(frozen=True)
+class PartSchedule:
+    """The ends of the parts: equal parts, or parts as large as the linearisation error allows.
 
-    def __init__(self, parts: int | None, largest: float) -> None:
-        self._parts = parts
-        self._share = 1.0 / parts if parts is not None else min(0.25, FIRST_PART / max(largest, 1e-12))
-        self.now, self.then = 0.0, self._share
+    Attributes:
+        parts: How many equal ones; None chooses them as the edit goes.
+        share: Of the whole displacement, in a part.
+        now, then: Fractions of the whole at the start and at the end of the part that is next.
+    """
 
-    def advance(self, step: int, last: Row) -> None:
-        """Set the fractions of the next part, from the record of the one just taken."""
-        self.now = self.then
-        if self._parts is not None:
-            self.then = (step + 1) / self._parts
-            return
+    parts: int | None
+    share: float
+    now: float
+    then: float
+
+    @classmethod
+    def of(cls, parts: int | None, largest: float = 0.0) -> PartSchedule:
+        """Return the schedule before the first part.
+
+        Args:
+            largest: Longest displacement over the field's size, for parts that are chosen as the edit goes.
+        """
+        share = 1.0 / parts if parts is not None else min(0.25, FIRST_PART / max(largest, 1e-12))
+        return cls(parts, share, 0.0, share)
+
+    def advance(self, step: int, error: float, solves: int) -> PartSchedule:
+        """Return the schedule after a part was taken.
+
+        Args:
+            step: Parts taken, this one included.
+            error: Linearisation error of the part, relative to its motion.
+            solves: Tries that the part took.
+        """
+        now = self.then
+        if self.parts is not None:
+            return replace(self, now=now, then=(step + 1) / self.parts)
         # The nonlinear part of a step grows with its square, so its share of the motion grows with the step.
-        error = max(float(last["linearity_error"]), 1e-12)
-        damped = last["solves"] > 1 and step > 1  # the first part looks for its damping from below
-        self._share *= 0.5 if damped else min(1.5, max(0.5, LINEARITY / error))
-        left = 1.0 - self.now
-        self._share = max(self._share, left / max(1, MOST_PARTS - step))
-        more = math.ceil(left / self._share - 1e-9)
+        damped = solves > 1 and step > 1  # the first part looks for its damping from below
+        share = self.share * (0.5 if damped else min(1.5, max(0.5, LINEARITY / max(error, 1e-12))))
+        left = 1.0 - now
+        share = max(share, left / max(1, MOST_PARTS - step))
+        more = math.ceil(left / share - 1e-9)
         # The parts that are left are equal, so that the last is no crumb.
-        self.then = 1.0 if more <= 1 else self.now + left / more
+        return replace(self, share=share, now=now, then=1.0 if more <= 1 else now + left / more)
 
     def count(self, done: int) -> int:
-        """How many parts there will be, as far as is known."""
-        if self._parts is not None:
-            return self._parts
-        return done + math.ceil((1.0 - self.then) / self._share - 1e-9)
+        """Return how many parts there will be, as far as is known.
+
+        Args:
+            done: Parts that will have been taken after the next.
+        """
+        if self.parts is not None:
+            return self.parts
+        return done + math.ceil((1.0 - self.then) / self.share - 1e-9)
 
 
-class Displacement:
-    """The operation that takes points of the surface to their goal, part by part."""
+@dataclass(frozen=True, eq=False)
+class TargetPoints:
+    """The points that carry the target.
+
+    Attributes:
+        sample: Of the unedited surface.
+        goal: Where they are to be.
+        coverage: How the moving ones lay among their neighbours.
+        redrawn: Whether they were drawn anew, so that the loop does not carry them.
+    """
+
+    sample: SurfaceSample
+    targets: SummedTargets
+    coverage: _Coverage
+    redrawn: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class GeometricMemory:
+    """Memory of a geometric edit from part to part.
+
+    Attributes:
+        schedule: Of the part that is next.
+        carriers: The points that carry the target.
+        points: Where they are on the current surface (N, D).
+        used: Which of them carry it (N,) bool.
+        stretch: How many times the area it began with a moving point stood for before they were drawn anew.
+    """
+
+    schedule: PartSchedule
+    carriers: TargetPoints
+    points: Tensor
+    used: Tensor
+    stretch: float
+
+
+class GeometricOperation:
+    """The operation that takes points of the surface to their goal, part by part.
+
+    Args:
+        field: At the start of the edit.
+        targets_of: From points and normals of the unedited surface to their goal.
+        sample: The points that carry the target at first, which the loop carries along.
+        schedule: Before the first part.
+        damping: Penalty on |d_theta|^2; None adapts it.
+        off_surface_strength: Of the energy off the surface; 0 is none.
+        track: The caller's points, or None.
+        seed: Of the random points; part k uses seed + k.
+    """
+
+    columns = ("fraction", "points_used", "thinned")
 
     def __init__(
         self,
         field: Field,
-        goal_of: Callable[[Tensor, Tensor], SummedTargets],
+        targets_of: Callable[[Tensor, Tensor], SummedTargets],
         sample: SurfaceSample,
-        splitting: Splitting,
+        schedule: PartSchedule,
         damping: float | None,
         off_surface_strength: float,
         track: Tensor | None,
         seed: int,
     ) -> None:
-        self._off_surface = off_surface_strength
-        self._origin, self._goal_of, self._splitting = field, goal_of, splitting
+        self._off_surface_strength = off_surface_strength
+        self._origin, self._targets_of, self._schedule = field, targets_of, schedule
         self._damping, self._seed = damping, seed
-        self._sample, self._goal = sample, goal_of(sample.points, sample.normals)
-        # The loop carries the points of the first sample and the tracked ones; they slide along with their goal.
-        self._carried = self._goal
+        targets = targets_of(sample.points, sample.normals)
+        self._first = TargetPoints(sample, targets, _Coverage(targets, sample))
+        # The loop carries the points of the first sample and the tracked ones; they follow their goal.
+        self._tracked = targets
         if track is not None:
             normals = torch.cat([sample.normals, field.normal(track)])
-            self._carried = goal_of(torch.cat([sample.points, track]), normals)
-        self._coverage = _Coverage(self._goal, sample)
-        self._redrawn = False
+            self._tracked = targets_of(torch.cat([sample.points, track]), normals)
 
-    def step(self, state: State) -> StepProblem:
-        field, now, then = state.field, self._splitting.now, self._splitting.then
-        points, used = self._places(state, now)
-        thinned = self._coverage.thinned(points, used)
-        if thinned > THINNED:
-            count = int(thinned * len(self._sample))
-            self._sample = sample_surface(self._origin, count, seed=self._seed + state.step)
-            self._goal = self._goal_of(self._sample.points, self._sample.normals)
-            self._coverage = _Coverage(self._goal, self._sample, self._coverage.density)
-            self._redrawn = True
-            points, used = self._places(state, now)
-        energy = _part_energy(field, self._goal, self._sample, points, used, then)
-        ahead = self._carried.positions(then) - self._carried.positions(now)
+    def start(self, field: Field, points: Tensor) -> GeometricMemory:
+        """Return the memory before the first part."""
+        return self._ready(field, points, 0, self._schedule, self._first)
 
-        def slide(carried: Tensor, normals: Tensor) -> Tensor:
-            # A prescribed point follows its whole vector; the field sees only the part along the normal.
-            return ahead - normals * (normals * ahead).sum(dim=1, keepdim=True)
+    def finished(self, state: State[GeometricMemory], history: Sequence[Row]) -> EditStatus | None:
+        """Return that all is done where the whole displacement is, in fewer parts than there might have been."""
+        return EditStatus.DONE if state.memory.schedule.now >= 1.0 else None
 
+    def step(self, state: State[GeometricMemory]) -> StepProblem:
+        """Return the problem of the next part."""
+        field, memory = state.field, state.memory
+        now, then = memory.schedule.now, memory.schedule.then
+        energy = _part_energy(field, memory.carriers, memory.points, memory.used, then)
         energies: list[Energy] = [energy]
-        if self._off_surface > 0:
+        if self._off_surface_strength > 0:
             sample = SurfaceSample(energy.points, field.normal(energy.points), energy.weights)
-            seed = self._seed + state.step
-            energies.append(off_surface(field, sample, energy.target, strength=self._off_surface, seed=seed))
-        row = {"fraction": then, "points_used": int(used.sum()), "thinned": thinned}
-        return StepProblem(DeformationSpace(field), energies, self._damping, slide=slide, row=row)
+            seed, strength = self._seed + state.step, self._off_surface_strength
+            energies.append(off_surface(field, sample, energy.target, strength=strength, seed=seed))
+        # A prescribed point follows its whole vector; the field sees only the part along the normal.
+        ahead = self._tracked.positions(then) - self._tracked.positions(now)
+        normals = field.normal(state.tracked)
+        along = tangential_component(ahead, normals)
+        row = {"fraction": then, "points_used": int(memory.used.sum()), "thinned": memory.stretch}
+        return StepProblem(
+            DeformationSpace(field), energies, DampingRule(self._damping), tangential_motion=along, row=row
+        )
 
-    def _places(self, state: State, now: float) -> tuple[Tensor, Tensor]:
-        """Where the sample is on the current surface, and which of its points carry the target."""
-        used = self._goal.weights > 0
-        if not self._redrawn:
-            return state.points, used
-        # The parts before have taken every point to its goal but for what they missed, so that is where it is.
-        reach = 0.1 * state.field.size
-        points, arrived = newton_to_surface(state.field, self._goal.positions(now), reach=reach)
-        return points, used & arrived
+    def taken(self, state: State[GeometricMemory], taken: Taken) -> Outcome[GeometricMemory]:
+        """Return the memory for the next part, and how many parts there will be."""
+        done, memory = state.step + 1, state.memory
+        schedule = memory.schedule.advance(done, taken.error.relative, taken.solves)
+        if schedule.now >= 1.0:
+            after = replace(memory, schedule=schedule)
+        else:
+            after = self._ready(taken.field, taken.points, done, schedule, memory.carriers)
+        return Outcome(after, steps=memory.schedule.count(done))
 
-    def finished(self, state: State, history: Sequence[Row]) -> bool:
-        if history:
-            self._splitting.advance(state.step, history[-1])
-        return self._splitting.now >= 1.0
+    def _ready(
+        self, field: Field, points: Tensor, step: int, schedule: PartSchedule, carriers: TargetPoints
+    ) -> GeometricMemory:
+        """Return the memory before a part, with more points where those there were stand for too large an area."""
+        places, used = _places(field, points, carriers, schedule.now)
+        stretch = carriers.coverage.stretch(places, used)
+        if stretch > MOST_STRETCH:
+            count = int(stretch * len(carriers.sample))
+            sample = sample_surface(self._origin, count, seed=self._seed + step)
+            targets = self._targets_of(sample.points, sample.normals)
+            coverage = _Coverage(targets, sample, carriers.coverage.density)
+            carriers = TargetPoints(sample, targets, coverage, redrawn=True)
+            places, used = _places(field, points, carriers, schedule.now)
+        return GeometricMemory(schedule, carriers, places, used, stretch)
 
 
-def _part_energy(
-    field: Field, goal: SummedTargets, sample: SurfaceSample, points: Tensor, used: Tensor, then: float
-) -> NormalTarget:
-    """E_C of one part: from where the sample's points are to their goal after the part, along the normal."""
+def _places(field: Field, points: Tensor, carriers: TargetPoints, now: float) -> tuple[Tensor, Tensor]:
+    """Return where the points are on the current surface, and which of them carry the target.
+
+    Args:
+        points: Where the loop has carried those of the first sample.
+    """
+    used = carriers.targets.weights > 0
+    if not carriers.redrawn:
+        return points, used
+    # The parts before have taken every point to its goal but for what they missed, so that is where it is.
+    places, arrived = newton_to_surface(field, carriers.targets.positions(now), reach=0.1 * field.size)
+    return places, used & arrived
+
+
+def _part_energy(field: Field, carriers: TargetPoints, points: Tensor, used: Tensor, then: float) -> NormalTarget:
+    """Return E_C of one part: from where the points are to their goal after the part, along the normal."""
     here = points[used]
-    target = ((goal.positions(then)[used] - here) * field.normal(here)).sum(dim=1)
-    return NormalTarget(here, target, (sample.weights * goal.weights)[used])
+    target = ((carriers.targets.positions(then)[used] - here) * field.normal(here)).sum(dim=1)
+    return NormalTarget(here, target, (carriers.sample.weights * carriers.targets.weights)[used])
 
 
 class _Coverage:
-    """How many times the area it began with a point of the moving part stands for, judged by its neighbours."""
+    """Multiple of the area it began with that a point of the moving part stands for, judged by its neighbours."""
 
     neighbours = 8
 
-    def __init__(self, goal: SummedTargets, sample: SurfaceSample, density: float | None = None) -> None:
-        self._moving = goal.prescribed & (goal.weights > 0)
+    def __init__(self, targets: SummedTargets, sample: SurfaceSample, density: float | None = None) -> None:
+        self._moving = targets.prescribed & (targets.weights > 0)
         self._power = sample.points.shape[1] - 1
         own = len(sample) / float(sample.weights.sum())
         self.density = own if density is None else density  # points an area that the edit began with
         self._denser = own / self.density
         self._begun = self._spacing(sample.points, self._moving)
 
-    def thinned(self, points: Tensor, used: Tensor) -> float:
-        """The 90th percentile over the moving points, in areas of a point of the first sample."""
+    def stretch(self, points: Tensor, used: Tensor) -> float:
+        """Return the 90th percentile over the moving points, in areas of a point of the first sample."""
         if self._begun is None:
             return 1.0
         now = self._spacing(torch.where(used[:, None], points, torch.full_like(points, 1e6)), self._moving)
@@ -171,7 +271,7 @@ class _Coverage:
         return float(np.quantile((now / self._begun) ** self._power, 0.9)) / self._denser
 
     def _spacing(self, points: Tensor, moving: Tensor) -> NDArray[np.float64] | None:
-        """Distance of each moving point from its farthest near neighbour; None where they are too few to tell."""
+        """Return the distance of each moving point from its farthest near neighbour; None where there are too few."""
         if int(moving.sum()) < 2 * self.neighbours:
             return None
         tree = cKDTree(points.double().cpu().numpy())

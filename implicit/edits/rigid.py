@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import torch
 from jaxtyping import Float
@@ -25,16 +26,16 @@ from implicit.edits.handles import Handle
 from implicit.edits.rigid_placement import Placement
 from implicit.edits.targets import AveragedTargets, checked_handles
 from implicit.evolve.constraints import checked_constraints
-from implicit.evolve.edit import Edit, Progress, require_options
-from implicit.evolve.evidence import with_evidence
+from implicit.evolve.edit import Edit, EditStatus, Progress, require_options, with_evidence
 from implicit.evolve.evolve import evolve
+from implicit.evolve.operation import Outcome, State, Taken
 from implicit.field.field import Field, require_field
-from implicit.sensitivity.closed_form import is_plain
+from implicit.sensitivity.moved_as_a_whole import moved_as_a_whole
 from implicit.sensitivity.shape_functionals import Area, Functional, Volume
 from implicit.step.deformation import DeformationSpace, spanned
 from implicit.step.energies import Energy, Killing, VectorTarget
 from implicit.step.off_surface import off_surface
-from implicit.step.problem import Row, State, StepProblem
+from implicit.step.problem import DampingRule, Row, StepProblem
 from implicit.step.tangential_basis import CosineFeatures, TangentialModel
 from implicit.surface.quadrature import SurfaceSample
 from implicit.surface.sampling import carrying_points
@@ -156,7 +157,9 @@ def rigid_edit(
 
 def _can_be_placed(field: Field, whole: Placement, sample: SurfaceSample, constraints: Sequence[Functional]) -> bool:
     """Return whether the field can first be moved as a whole: no constraint feels it, and it stays in its bounds."""
-    if not is_plain(field) or not all(isinstance(constraint, (Volume, Area)) for constraint in constraints):
+    if not all(isinstance(constraint, (Volume, Area)) for constraint in constraints):
+        return False
+    if moved_as_a_whole(field, whole.rotation, whole.translation) is None:
         return False
     moved = whole.at(sample.points)
     lower, upper = field.bounds + 0.01 * field.size * torch.tensor([[1.0], [-1.0]]).to(field.theta)
@@ -226,6 +229,8 @@ class RigidOperation:
         begin: The rigid motion that took the field and the sample to where the loop begins; None is none.
     """
 
+    columns: ClassVar[tuple[str, ...]] = ()
+
     sample: SurfaceSample
     targets: AveragedTargets
     settings: RigidSettings
@@ -259,15 +264,16 @@ class RigidOperation:
             "points or more, or fewer waves.",
         )
 
-    def step(self, state: State) -> StepProblem:
+    def step(self, state: State[None]) -> StepProblem:
+        """Return the problem of this step."""
         held, settings = self.targets.prescribed, self.settings
         target = (self._path((state.step + 1) / settings.steps) - state.points)[held]
         reach = VectorTarget(
             state.points[held], target, settings.alpha * (self.sample.weights * self.targets.weights)[held]
         )
         strain = Killing(state.points, self.sample.weights, settings.bending, settings.thickness)
-        motion = float(target.norm(dim=1).max()) / (SMALL * state.field.size)
-        damping = DAMPING * min(max(motion, LEAST), 1.0)
+        largest = float(target.norm(dim=1).max()) / (SMALL * state.field.size)
+        damping = DAMPING * min(max(largest, LEAST), 1.0)
         energies: list[Energy] = [strain, reach]
         here = SurfaceSample(state.points, state.field.normal(state.points), self.sample.weights)
         strength = settings.off_surface_strength
@@ -279,15 +285,21 @@ class RigidOperation:
         return StepProblem(
             DeformationSpace(state.field, self.tangential, directions),
             energies,
-            settings.damping,
-            first_damping=damping,
-            least_damping=damping,
-            allowed_miss=0.3,  # for the surface settles where the step sends it
-            settle=self.sample.weights,
+            # A large error will do, for the surface is brought to where the step sends it.
+            DampingRule(settings.damping, first=damping, least=damping, allowed_error=0.3),
+            correction_weights=self.sample.weights,
         )
 
-    def finished(self, state: State, history: Sequence[Row]) -> bool:
-        return False
+    def start(self, field: Field, points: Tensor) -> None:
+        """Return no memory: the steps need none."""
+
+    def finished(self, state: State[None], history: Sequence[Row]) -> EditStatus | None:
+        """Return that the edit goes on, up to its last step."""
+        return None
+
+    def taken(self, state: State[None], taken: Taken) -> Outcome[None]:
+        """Return nothing to keep or to record."""
+        return Outcome(None)
 
 
 def _combinations(parameters: int) -> int | None:

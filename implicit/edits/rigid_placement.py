@@ -2,7 +2,7 @@
 
     f'(x) = f(R^T (x - t)):    W_1' = W_1 R^T,    b_1' = b_1 - W_1 R^T t
 
-so what a rigid edit moves as a whole needs no linearisation.
+so what a rigid edit moves as a whole needs no linearisation (see implicit.sensitivity.moved_as_a_whole).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.field.field import Field
-from implicit.sensitivity.closed_form import is_plain
+from implicit.sensitivity.moved_as_a_whole import moved_as_a_whole
 from implicit.surface.quadrature import SurfaceSample
 
 
@@ -61,18 +61,15 @@ class Placement:
         return SurfaceSample(self.at(sample.points), sample.normals @ self.rotation.T, sample.weights)
 
     def field(self, field: Field) -> Field:
-        """Return the field of a network of known layers moved along.
+        """Return the field moved along.
 
         Raises:
-            ValueError: The first layer is not a linear one whose weights and biases are edited.
+            ValueError: The points enter it otherwise than by linear layers whose weights and biases are edited.
         """
-        if not is_plain(field):
+        theta = moved_as_a_whole(field, self.rotation, self.translation)
+        if theta is None:
             raise ValueError(
-                "Only a plain network (Siren, Mlp) with all parameters edited can be moved in closed form."
+                "Only a field whose points enter linear layers, with weights and biases that are edited, can be moved "
+                "in closed form."
             )
-        weight, bias = field.layout[0], field.layout[1]
-        theta = field.theta.clone()
-        turned = field.theta[weight.where].view(weight.shape) @ self.rotation.T
-        theta[weight.where] = turned.reshape(-1)
-        theta[bias.where] -= turned @ self.translation
         return field.with_theta(theta)

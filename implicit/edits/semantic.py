@@ -12,6 +12,8 @@ vector: what the field leaves open, the motion along the surface, they are moved
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from jaxtyping import Float
@@ -21,14 +23,15 @@ from implicit.arguments import require_between, require_positive, require_whole
 from implicit.edits.code_prior import CodePrior
 from implicit.edits.handles import Handle
 from implicit.edits.targets import SummedTargets, checked_handles
-from implicit.evolve.edit import Edit, Progress, require_options
+from implicit.evolve.edit import Edit, EditStatus, Progress, require_options
 from implicit.evolve.evolve import evolve
+from implicit.evolve.operation import Outcome, State, Taken
 from implicit.field.field import Field
 from implicit.renamed import renamed
 from implicit.sensitivity.boundary_sensitivity import BLOCK, value_and_gradients
 from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import Energy, NormalTarget
-from implicit.step.problem import Row, State, StepProblem
+from implicit.step.problem import DampingRule, Projection, Row, StepProblem
 from implicit.surface.projection import newton_to_surface, require_on_surface
 from implicit.surface.quadrature import SurfaceSample
 from implicit.surface.sampling import farthest_order, sample_surface
@@ -87,7 +90,10 @@ def semantic_edit(
     if prior is not None and not isinstance(prior, CodePrior):
         raise TypeError(f"prior must be None or a CodePrior, such as CodePrior.of(codes), but is {prior!r}.")
     start = _starting_points(field, points, displacements)
-    operation = _Semantic(field, start, displacements, stride, damping, prior, trust_region, least_alignment, tolerance)
+    stride = field.size / 40 if stride is None else stride
+    operation = SemanticOperation(
+        start, displacements, stride, damping, prior, trust_region, least_alignment, tolerance
+    )
     wanted = torch.where(operation.used[:, None], displacements, torch.full_like(displacements, float("nan")))
     return evolve(field, operation, start, steps=steps, track=track, wanted=wanted, progress=progress)
 
@@ -146,86 +152,113 @@ def _check_options(
     require_between("tolerance", tolerance, 0, 1)
 
 
-class _Semantic:
-    def __init__(
-        self,
-        field: Field,
-        start: SurfaceSample,
-        displacements: Tensor,
-        stride: float | None,
-        damping: float | None,
-        prior: CodePrior | None,
-        trust_region: float | None,
-        least_alignment: float,
-        tolerance: float,
-    ) -> None:
-        self._goal = start.points + displacements
-        self._ways = displacements
-        self._stride = field.size / 40 if stride is None else stride
-        self._damping, self._prior, self._radius = damping, prior, trust_region
-        self._least_alignment, self._tolerance = least_alignment, tolerance
-        self.used = self._along(start.normals)
-        moving = self.used & (displacements.norm(dim=1) > 0)
-        if not bool(moving.any()):
+@dataclass(frozen=True, eq=False)
+class SemanticOperation:
+    """The steps of semantic_edit, for the loop; see there. The memory is the space at the points of the next step.
+
+    Attributes:
+        sample: The points, with their normals at the start.
+        displacements: Where to (I, D).
+        stride: No point aims farther than this in one step, a length.
+        damping, prior, trust_region, least_alignment, tolerance: Of semantic_edit.
+
+    Raises:
+        ValueError: No point is to move along its normal.
+    """
+
+    sample: SurfaceSample
+    displacements: Tensor
+    stride: float
+    damping: float | None
+    prior: CodePrior | None
+    trust_region: float | None
+    least_alignment: float
+    tolerance: float
+
+    columns = ("missed", "points_used", "prior_distance")
+
+    def __post_init__(self) -> None:
+        if not bool(self._moving.any()):
             raise ValueError(
                 "No point is to move along its normal: every displacement is zero or at an angle with a cosine below "
-                f"{least_alignment:.3g} to the normal. Choose points on the faces that are to move."
+                f"{self.least_alignment:.3g} to the normal. Choose points on the faces that are to move."
             )
-        self._largest = float((displacements * start.normals).sum(dim=1)[moving].abs().max())
-        self._space: _PointSpace | None = None
+
+    @cached_property
+    def used(self) -> Tensor:
+        """Mask (I,) of the points that carry the target: those whose displacement is along their normal, or zero."""
+        return self._along(self.sample.normals)
+
+    @cached_property
+    def _goal(self) -> Tensor:
+        return self.sample.points + self.displacements
+
+    @cached_property
+    def _moving(self) -> Tensor:
+        return self.used & (self.displacements.norm(dim=1) > 0)
+
+    @cached_property
+    def _largest(self) -> float:
+        """Largest displacement along the normals, a length."""
+        return float((self.displacements * self.sample.normals).sum(dim=1)[self._moving].abs().max())
 
     def _along(self, normals: Tensor) -> Tensor:
-        """Whether each point's displacement has enough along the normal, or is zero."""
-        return (self._ways * normals).sum(dim=1).abs() >= self._least_alignment * self._ways.norm(dim=1)
+        """Return whether each point's displacement has enough along the normal, or is zero."""
+        along = (self.displacements * normals).sum(dim=1).abs()
+        return along >= self.least_alignment * self.displacements.norm(dim=1)
 
-    def step(self, state: State) -> StepProblem:
-        space = self._space_at(state)
-        left = self._goal - state.points
-        share = min(1.0, self._stride / max(float(left.norm(dim=1).max()), 1e-300))
+    def start(self, field: Field, points: Tensor) -> PointSpace:
+        """Return the space at the points of the first step."""
+        return PointSpace(field, points, reach=0.01 * field.size)
+
+    def finished(self, state: State[PointSpace], history: Sequence[Row]) -> EditStatus | None:
+        """Return REACHED where what is left along the normals is within the tolerance."""
+        if self._missed(self._goal - state.points, state.memory.normals) > self.tolerance:
+            return None
+        # Carried points may have slid to where nothing is left to do; the places that they were sent to may not.
+        value, gradient = state.field.value_and_gradient(self._goal[self.used])
+        left = float((value / gradient.norm(dim=1)).square().mean().sqrt())
+        return EditStatus.REACHED if left <= self.tolerance * self._largest else None
+
+    def step(self, state: State[PointSpace]) -> StepProblem:
+        """Return the ridge regression of one step."""
+        space, left = state.memory, self._goal - state.points
+        share = min(1.0, self.stride / max(float(left.norm(dim=1).max()), 1e-300))
         aim = share * left
         inward = (aim * space.normals).sum(dim=1)
-        space.slide = aim - inward[:, None] * space.normals
         counted = self.used & self._along(space.normals)
         energies: list[Energy] = [NormalTarget(state.points, inward, counted.to(inward))]
         row: Row = {"missed": self._missed(left, space.normals), "points_used": int(counted.sum())}
-        if self._prior is not None:
-            energies.append(self._prior.energy(state.field))
-            row["prior_distance"] = self._prior.distance(state.field.theta[: len(self._prior.mean)])
-        damping = self._damping
-        if self._radius is not None:
-            damping = _damping_within(self._radius, energies, space, damping)
-        return StepProblem(space, energies, damping, place=self._place, row=row)
+        if self.prior is not None:
+            energies.append(self.prior.energy(state.field))
+            row["prior_distance"] = self.prior.distance(state.field.theta[: len(self.prior.mean)])
+        damping = self.damping
+        if self.trust_region is not None:
+            damping = _damping_within(self.trust_region, energies, space, damping)
+        along = aim - inward[:, None] * space.normals
+        return StepProblem(
+            space, energies, DampingRule(damping), tangential_motion=along, project=self._project, row=row
+        )
 
-    def finished(self, state: State, history: Sequence[Row]) -> bool:
-        space = self._space_at(state)
-        if self._missed(self._goal - state.points, space.normals) > self._tolerance:
-            return False
-        # Carried points may have slid to where nothing is left to do; the places that they were sent to may not.
-        value, gradient = state.field.value_and_gradient(self._goal[self.used])
-        return float((value / gradient.norm(dim=1)).square().mean().sqrt()) <= self._tolerance * self._largest
+    def taken(self, state: State[PointSpace], taken: Taken) -> Outcome[PointSpace]:
+        """Return the space that the projection has made at the points of the next step."""
+        space = taken.space
+        return Outcome(space if isinstance(space, PointSpace) else self.start(taken.field, taken.points))
 
     def _missed(self, left: Tensor, normals: Tensor) -> float:
         return float((left * normals).sum(dim=1)[self.used].square().mean().sqrt()) / self._largest
 
-    def _space_at(self, state: State) -> _PointSpace:
-        known = self._space
-        if known is None or not (
-            torch.equal(known.field.theta, state.field.theta) and torch.equal(known.points, state.points)
-        ):
-            known = self._space = _PointSpace(state.field, state.points, reach=0.01 * state.field.size)
-        return known
-
-    def _place(self, field: Field, points: Tensor, *, reach: float) -> tuple[Tensor, Tensor]:
-        """Points on the moved surface; the pass that this takes linearises the next step there, too."""
-        own = len(self._ways)
-        self._space = _PointSpace(field, points[:own], reach)
+    def _project(self, field: Field, points: Tensor, reach: float) -> Projection:
+        """Return points on the moved surface; the pass that this takes linearises the next step there, too."""
+        own = len(self.displacements)
+        space = PointSpace(field, points[:own], reach)
         if len(points) == own:
-            return self._space.points, self._space.arrived
-        tracked, arrived = newton_to_surface(field, points[own:], reach=reach)
-        return torch.cat([self._space.points, tracked]), torch.cat([self._space.arrived, arrived])
+            return Projection(space.points, space.arrived, space)
+        further, arrived = newton_to_surface(field, points[own:], reach=reach)
+        return Projection(torch.cat([space.points, further]), torch.cat([space.arrived, arrived]), space)
 
 
-class _PointSpace(DeformationSpace):
+class PointSpace(DeformationSpace):
     """The motions of a few points near the surface, from one forward and one backward pass.
 
     Values and gradients give a Newton step to the surface, and the sensitivities serve there as well: they differ from
@@ -237,7 +270,6 @@ class _PointSpace(DeformationSpace):
 
     def __init__(self, field: Field, points: Tensor, reach: float) -> None:
         super().__init__(field)
-        self.slide = torch.zeros_like(points)  # motion along the surface, which is not solved for
         self.arrived = torch.ones(len(points), dtype=torch.bool, device=points.device)
         self._rows: Tensor | None = None
         for attempt in range(2):
@@ -259,19 +291,17 @@ class _PointSpace(DeformationSpace):
         return values, gradients, lengths
 
     def normal_rows(self, points: Tensor) -> Iterator[tuple[slice, Tensor]]:
-        """As in the base, but for the points that it knows."""
+        """Return the rows as the base does, but for the points that it knows."""
         if self._rows is not None and torch.equal(points, self.points):
             yield slice(0, len(points)), self._rows
         else:
             yield from super().normal_rows(points)
 
     def displacement(self, points: Tensor, x: Tensor) -> Tensor:
-        """As in the base, with the slide of the points; any further ones come after them."""
+        """Return D as in the base, for the points that it knows from their rows."""
         if self._rows is not None and torch.equal(points, self.points):
-            return self.slide + self.normals * (self._rows @ x)[:, None]
-        moved = super().displacement(points, x)
-        moved[: len(self.points)] += self.slide
-        return moved
+            return self.normals * (self._rows @ x)[:, None]
+        return super().displacement(points, x)
 
 
 def _damping_within(radius: float, energies: Sequence[Energy], space: DeformationSpace, least: float | None) -> float:

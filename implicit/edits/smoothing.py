@@ -26,15 +26,16 @@ from implicit.arguments import require_callable, require_choice, require_positiv
 from implicit.edits.flows import Flow, MeanCurvature
 from implicit.edits.regions import Region
 from implicit.evolve.constraints import Holding, checked_constraints
-from implicit.evolve.edit import Edit, Progress, require_options
+from implicit.evolve.edit import Edit, EditStatus, Progress, require_options
 from implicit.evolve.evolve import evolve
+from implicit.evolve.operation import Outcome, State, Taken
 from implicit.field.field import Field
 from implicit.renamed import renamed
 from implicit.sensitivity.shape_functionals import Functional, Volume
 from implicit.step.deformation import DeformationSpace, spanned
 from implicit.step.energies import Energy, NormalTarget, Smoothness
 from implicit.step.off_surface import off_surface
-from implicit.step.problem import Row, State, StepProblem
+from implicit.step.problem import DampingRule, Row, StepProblem
 from implicit.surface.quadrature import MeshedSample, SurfaceSample
 from implicit.surface.sampling import sample_surface, subsample
 
@@ -48,7 +49,7 @@ DAMPING = 1e-5
 
 @dataclass(frozen=True)
 class Until:
-    """When to stop before the last step; whatever is met first. None asks for nothing.
+    """Rule for stopping before the last step, by whatever is met first. None asks for nothing.
 
     Attributes:
         time: Flow time, a squared length (for Bending its square, for Offset a length over the speed).
@@ -66,7 +67,7 @@ class Until:
                 require_positive(name, value)
 
     def met(self, row: Row) -> bool:
-        """Whether a step's record fulfils it."""
+        """Return whether a step's record fulfils it."""
         return (
             (self.time is not None and row["time"] >= self.time * (1 - 1e-9))
             or (self.area is not None and row["area"] <= self.area)
@@ -110,8 +111,8 @@ def smooth(
         constraints: Functionals to hold, such as Volume().
         holding: How they are held; None is by hard rows, restored by Newton's method.
         until: When to stop before.
-        off_surface_strength: Strength of the energy that lets the field off the surface follow the surface, see
-            implicit.step.off_surface.
+        off_surface_strength: Strength of the energy that lets the field off the surface follow the surface (see
+            implicit.step.off_surface).
         restore: Share of the field's deviation from a distance that a step undoes; 0 for fields that are none.
         points: Points at which the flow is prescribed, chosen anew for each step.
         directions: How many sensitivities span the step, three quarters of them on the surface; None takes all
@@ -130,23 +131,11 @@ def smooth(
     constraints = checked_constraints(constraints)
     require_whole("steps", steps)
     require_choice("method", method, ("implicit", "explicit"))
-    if step_size is not None:
-        require_positive("step_size", step_size, "time, for mean curvature a squared length")
-    require_positive("off_surface_strength", off_surface_strength, or_zero=True)
-    require_positive("restore", restore, or_zero=True)
-    require_whole("points", points)
-    if directions is not None:
-        require_whole("directions", directions)
-    if where is not None:
-        require_callable("where", where, "a region")
-    for name, value, kind in (("until", until, Until), ("holding", holding, Holding)):
-        if value is not None and not isinstance(value, kind):
-            raise TypeError(f"{name} must be None or made by {kind.__name__}(...), but is {value!r}.")
-    if flow is not None and (isinstance(flow, type) or not callable(getattr(flow, "energies", None))):
-        raise TypeError(f"flow must be a law of motion such as MeanCurvature() or Bending(), but is {flow!r}.")
+    _check_numbers(step_size, off_surface_strength, restore, points, directions)
+    _check_objects(flow, where, until, holding)
     start = sample_surface(field, points, seed=seed)
     size = _default_step(field, start, method) if step_size is None else step_size
-    operation = _Smoothing(
+    operation = SmoothingOperation(
         flow or MeanCurvature(),
         size,
         implicit=method == "implicit",
@@ -173,10 +162,14 @@ def smooth(
 
 
 def explicit_step_limit(field: Field, *, points: int = 400, directions: int = 200, seed: int = 0) -> float:
-    """Largest stable step_size of explicit mean-curvature flow, a squared length.
+    """Return the largest stable step_size of explicit mean-curvature flow, a squared length.
 
     A step changes the motion u by step_size times its surface Laplacian, so it is stable up to 2 over the largest
     int |grad_surface u|^2 / (int u^2 + damping |d_theta|^2) of the motions that the step can choose from.
+
+    Args:
+        field: The field at the start.
+        points, directions, seed: Of smooth; the limit is that of its explicit steps with the same ones.
     """
     require_whole("points", points)
     require_whole("directions", directions)
@@ -199,9 +192,31 @@ def _default_step(field: Field, sample: SurfaceSample, method: str) -> float:
     return size if method == "implicit" else min(size, 0.5 * explicit_step_limit(field))
 
 
-@dataclass
-class _Smoothing:
-    """The steps of smooth, for the loop; its options are told of there."""
+def _check_numbers(
+    step_size: float | None, off_surface_strength: float, restore: float, points: int, directions: int | None
+) -> None:
+    if step_size is not None:
+        require_positive("step_size", step_size, "time, for mean curvature a squared length")
+    require_positive("off_surface_strength", off_surface_strength, or_zero=True)
+    require_positive("restore", restore, or_zero=True)
+    require_whole("points", points)
+    if directions is not None:
+        require_whole("directions", directions)
+
+
+def _check_objects(flow: object, where: object, until: object, holding: object) -> None:
+    if where is not None:
+        require_callable("where", where, "a region")
+    for name, value, kind in (("until", until, Until), ("holding", holding, Holding)):
+        if value is not None and not isinstance(value, kind):
+            raise TypeError(f"{name} must be None or made by {kind.__name__}(...), but is {value!r}.")
+    if flow is not None and (isinstance(flow, type) or not callable(getattr(flow, "energies", None))):
+        raise TypeError(f"flow must be a law of motion such as MeanCurvature() or Bending(), but is {flow!r}.")
+
+
+@dataclass(frozen=True)
+class SmoothingOperation:
+    """The steps of smooth, for the loop; its options are told of there. The memory is the time of the flow so far."""
 
     flow: Flow
     step_size: float
@@ -214,43 +229,50 @@ class _Smoothing:
     directions: int | None
     damping: float | None
     seed: int
-    time: float = 0.0  # of the flow, so far
 
-    def step(self, state: State) -> StepProblem:
+    columns = ("largest_curvature", "time", "volume", "area", "sphericity")
+
+    def start(self, field: Field, points: Tensor) -> float:
+        """Return the time before the first step."""
+        return 0.0
+
+    def finished(self, state: State[float], history: Sequence[Row]) -> EditStatus | None:
+        """Return REACHED where the last step's record meets the stopping rule."""
+        return EditStatus.REACHED if history and self.until.met(history[-1]) else None
+
+    def step(self, state: State[float]) -> StepProblem:
+        """Return the problem of this step."""
         field, seed = state.field, self.seed + state.step
-        assert state.sample is not None
         sample = subsample(field, state.sample, self.points, seed=seed)
         kappa = field.mean_curvature(sample.points)
         share = torch.ones_like(kappa) if self.where is None else self.where(sample.points)
         energies: list[Energy] = [*self.flow.energies(field, sample, kappa, self.step_size, share, self.implicit)]
-        strength, count = self.off_surface_strength, self.points // 4
-        away = off_surface(field, sample, strength=strength, restore=self.restore, points=count, seed=seed)
-        if strength > 0:
+        away = off_surface(
+            field, sample, strength=self.off_surface_strength, restore=self.restore, points=self.points // 4, seed=seed
+        )
+        if self.off_surface_strength > 0:
             energies.append(away)
         basis = None if self.directions is None else spanned(field, sample.points, away.points, self.directions)
         return StepProblem(
             DeformationSpace(field, directions=basis),
             energies,
-            self.damping,
-            allowed_miss=0.2,
-            first_damping=DAMPING,
-            least_damping=DAMPING,
+            DampingRule(self.damping, first=DAMPING, least=DAMPING, allowed_error=0.2),
             probe=sample.points[::2],
             row={"largest_curvature": float(kappa.abs().max())},
-            record=self._record,
         )
 
-    def finished(self, state: State, history: Sequence[Row]) -> bool:
-        return bool(history) and self.until.met(history[-1])
-
-    def _record(self, field: Field, surface: MeshedSample, held: Row, part: float) -> Row:
-        self.time += part * self.step_size
-        volume = held["volume"] if "volume" in held else Volume().value(field, surface.sample)
-        return {"time": self.time, **surface_record(field, surface, volume)}
+    def taken(self, state: State[float], taken: Taken) -> Outcome[float]:
+        """Return the time after the step, and the record of the surface."""
+        if taken.surface is None:
+            raise ValueError("Smoothing records the surface of each step; call evolve with changing=True.")
+        time = state.memory + taken.part * self.step_size
+        known = taken.values.get("volume")
+        volume = Volume().value(taken.field, taken.surface.sample) if known is None else known
+        return Outcome(time, {"time": time, **surface_record(taken.field, taken.surface, volume)})
 
 
 def surface_record(field: Field, surface: MeshedSample, volume: float) -> Row:
-    """Volume, area and sphericity of a surface; in the plane area, length and roundness."""
+    """Return volume, area and sphericity of a surface; in the plane area, length and roundness."""
     area = float(surface.sample.weights.double().sum())
     if field.dimension == 3:
         round_area = math.pi ** (1 / 3) * (6 * max(volume, 0.0)) ** (2 / 3)

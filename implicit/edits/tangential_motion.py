@@ -23,7 +23,7 @@ from torch import Tensor
 from implicit.arguments import require_positive, require_tensor
 from implicit.field.field import Field, require_field
 from implicit.sensitivity.boundary_sensitivity import row_blocks
-from implicit.sensitivity.frame import Frame, speed_and_slope
+from implicit.sensitivity.frame import Frame, speed_and_slope, tangential_component
 from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import Killing
 from implicit.step.least_squares import LeastSquares, Rows
@@ -68,7 +68,7 @@ class ConstantNormals:
             frame = Frame.at(field, part)
             tangents = frame.axes[:, :-1]
             slope = tangents @ (speed_and_slope(field, frame)[:, 1:] @ d_theta)[:, :, None]
-            shape = tangents @ frame.normal_slopes @ tangents.transpose(1, 2)
+            shape = frame.shape_operator
             curvatures, directions = torch.linalg.eigh((shape + shape.transpose(1, 2)) / 2)
             inverse = curvatures / (curvatures**2 + least**2)
             t = directions @ (inverse[:, :, None] * (directions.transpose(1, 2) @ slope))
@@ -113,7 +113,7 @@ class NearIsometric:
         c = system.solve(relative_damping=DAMPING).x.view(precise.dimension, model.count)
         motion = model.values(at) @ c.T
         n = precise.normal(at)
-        return (motion - n * (n * motion).sum(dim=1, keepdim=True)).to(points)
+        return tangential_component(motion, n).to(points)
 
 
 def _require_update(field: Field, d_theta: Tensor) -> None:

@@ -24,13 +24,13 @@ from torch.func import jvp, vmap
 from implicit.arguments import require_whole
 from implicit.edits.handles import Handle
 from implicit.edits.rigid import RigidSettings, prepare
+from implicit.evolve.operation import State
 from implicit.field.field import Field, require_field
 from implicit.models.siren import Siren
 from implicit.sensitivity.boundary_sensitivity import normal_displacement
 from implicit.sensitivity.frame import Frame, speed_and_slope
 from implicit.step.energies import Killing, VectorTarget, total_energy
 from implicit.step.least_squares import LeastSquares
-from implicit.step.problem import State
 from implicit.step.tangential_basis import TangentialModel
 from implicit.surface.quadrature import SurfaceSample
 
@@ -132,7 +132,7 @@ def trained_rigid_step(
     settings = RigidSettings(alpha=alpha, bending=bending, thickness=thickness, seed=seed)
     operation = prepare(precise, handles, settings, tangential, points)
     sample = operation.sample
-    problem = operation.step(State(precise, 0, sample.points, None))
+    problem = operation.step(State(precise, 0, sample.points, len(sample), None))
     strain, reach = problem.energies
     assert isinstance(strain, Killing)
     assert isinstance(reach, VectorTarget)
@@ -142,7 +142,7 @@ def trained_rigid_step(
     for energy in problem.energies:
         for rows in energy.rows(problem.space):
             system.add(rows)
-    linear = system.solve(relative_damping=problem.first_damping)
+    linear = system.solve(relative_damping=problem.damping.first)
     linear_seconds = time.perf_counter() - clock
 
     clock = time.perf_counter()
@@ -211,7 +211,7 @@ class LearnedFeatures:
     def _functions(self, points: Tensor) -> Tensor:
         h = points
         for number, layer in enumerate(self._network.layers[:-1]):
-            h = self._network.activate(number, layer(h))[0]
+            h = self._network.activate(number, layer(h))
         return torch.cat([torch.ones_like(points[:, :1]), points, h], dim=1)
 
 

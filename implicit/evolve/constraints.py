@@ -1,4 +1,4 @@
-"""What an edit holds: functionals measured on the surface, their rows in each step, and their restoration.
+"""Functionals that an edit holds: measured on the surface, their rows in each step, and their restoration.
 
 A hard row keeps a functional to first order in the step; Newton's method on the re-measured value then restores it.
 The targets are measured at the start on a fine quadrature, and so is the end; in between a coarser one serves.
@@ -6,9 +6,9 @@ The targets are measured at the start on a fine quadrature, and so is the end; i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol, get_args
 
 import torch
 from jaxtyping import Float
@@ -17,9 +17,9 @@ from torch import Tensor
 from implicit.arguments import require_choice, require_positive
 from implicit.field.field import Field
 from implicit.sensitivity.boundary_sensitivity import adjoint
-from implicit.sensitivity.shape_functionals import Functional, require_functional
+from implicit.sensitivity.shape_functionals import Area, Functional, Volume, require_functional
 from implicit.step.deformation import DeformationSpace
-from implicit.step.least_squares import Factorised, Rows
+from implicit.step.least_squares import LeastSquares, Rows, Solution
 from implicit.surface.extraction import require_resolution
 from implicit.surface.quadrature import MeshedSample, SurfaceSample, meshed_quadrature
 from implicit.surface.sampling import subsample
@@ -30,6 +30,11 @@ Enforce = Literal["rows", "projection", "penalty"]
 STEERING_POINTS = 4000
 CORRECTIONS = 8
 
+SIGNS = {"equal": 0, "at least": 1, "at most": -1}
+
+# From C and r to the change of the unknowns that a correction makes.
+Correction = Callable[[Tensor, Tensor], Tensor]
+
 
 class NotHeldError(ValueError):
     """A functional could not be restored to its target."""
@@ -37,7 +42,7 @@ class NotHeldError(ValueError):
 
 @dataclass(frozen=True)
 class Holding:
-    """How an edit holds its functionals.
+    """Choice of how an edit holds its functionals.
 
     Attributes:
         enforce: "rows" holds by hard rows and Newton's method; "projection" takes what would change them out of the
@@ -65,109 +70,264 @@ class Holding:
 
 
 def checked_constraints(constraints: Sequence[Functional]) -> tuple[Functional, ...]:
-    """Functionals to hold, or a clear refusal of what are none."""
+    """Return functionals to hold as a tuple.
+
+    Raises:
+        TypeError: They are no list, or one is no functional.
+        ValueError: A bound is none of those there are.
+    """
     if not isinstance(constraints, list | tuple):
         raise TypeError(f"constraints must be a list such as [Volume()], but are {constraints!r}.")
     for k, constraint in enumerate(constraints):
         require_functional(f"constraints[{k}]", constraint)
+        require_choice(f"bound of constraints[{k}]", constraint.bound, tuple(SIGNS))
     return tuple(constraints)
 
 
-class Guard:
-    """Measures the surface of an edit, and brings its functionals back to their targets.
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """A surface and the values of the functionals on it.
 
-    Args:
-        field: At the start; a functional without a target keeps its value there.
-        constraints: What to hold.
-        holding: How.
-        always: Whether to measure the surface even where nothing is held.
+    Attributes:
+        surface: The quadrature and its mesh.
+        values: Of each functional.
     """
 
-    def __init__(self, field: Field, constraints: Sequence[Functional], holding: Holding, *, always: bool) -> None:
-        self.constraints, self.holding = checked_constraints(constraints), holding
-        for constraint in self.constraints:
-            if constraint.bound not in ("equal", "at least", "at most"):
-                raise ValueError(
-                    f'bound of a constraint must be "equal", "at least" or "at most", but is {constraint.bound!r}.'
-                )
-        names = [c.name for c in self.constraints]
-        self._names = [n if names.count(n) == 1 else f"{n}_{k + 1}" for k, n in enumerate(names)]
-        self._signs = torch.tensor([{"equal": 0, "at least": 1, "at most": -1}[c.bound] for c in self.constraints])
-        self.surface: MeshedSample | None = None
-        self._tolerance = holding.tolerance or (1e-8 if field.dtype == torch.float64 else 1e-5)
-        self._price = holding.penalty * field.size ** (field.dimension + 1)
-        self._values: list[float] = []
-        self._targets: list[float] = []
-        self._scales: list[float] = []
-        if self.constraints:
-            self.look(field, fine=True)
-            self._targets = [v if c.target is None else c.target for c, v in zip(self.constraints, self._values)]
-            # Relative to the target, or where that is zero (a centred moment, say) to the area of the surface.
-            area = float(self.sample.weights.sum())
-            self._scales = [abs(t) if t != 0 else area for t in self._targets]
-        if self.constraints or always:
-            self.look(field)
+    surface: MeshedSample
+    values: tuple[float, ...]
 
     @property
     def sample(self) -> SurfaceSample:
-        """The quadrature of the surface last looked at."""
-        assert self.surface is not None
+        """Quadrature of the surface."""
         return self.surface.sample
 
-    @property
-    def hard(self) -> bool:
-        """Whether values are restored after each step."""
-        return bool(self.constraints) and self.holding.enforce == "rows"
+
+@dataclass(frozen=True, eq=False)
+class LinearConstraints:
+    """The functionals to first order in the unknowns x of a step: C x = r brings each to its target.
+
+    Attributes:
+        matrix: C, the sensitivities (M, S).
+        gap: r, target minus value (M,).
+        signs: 0 of an equality, 1 of "at least", -1 of "at most" (M,).
+        scales: What a gap is relative to (M,).
+    """
+
+    matrix: Float[Tensor, "m s"]
+    gap: Float[Tensor, " m"]
+    signs: Float[Tensor, " m"]
+    scales: Float[Tensor, " m"]
+
+    def active(self, x: Float[Tensor, " s"] | None = None) -> Tensor:
+        """Return which must be held, (M,) bool: all equalities, and the bounds that a step x would break.
+
+        Args:
+            x: The step; None takes no bound for broken.
+        """
+        if x is None or not bool((self.signs != 0).any()):
+            return self.signs == 0
+        return (self.signs == 0) | ((self.matrix @ x - self.gap) * self.signs < 0)
+
+    def only(self, which: Tensor) -> tuple[Tensor, Tensor]:
+        """Return C and r of some of them."""
+        return self.matrix[which], self.gap[which]
+
+
+class Enforcement(Protocol):
+    """A way for a step's least squares to meet the functionals."""
 
     @property
-    def record(self) -> dict[str, Any]:
-        """The values last measured, by the names of their functionals."""
-        return dict(zip(self._names, self._values, strict=True))
+    def restores(self) -> bool:
+        """True if Newton's method brings the values back after the step."""
 
-    @property
-    def gap(self) -> float:
-        """Largest relative distance of a value from its target or bound."""
-        return max((abs(g) / s for g, s in zip(self._gaps(), self._scales, strict=True)), default=0.0)
+    def penalty_rows(self, linear: LinearConstraints) -> list[Rows]:
+        """Return what is added to the least squares before it is solved."""
 
-    def look(self, field: Field, *, fine: bool = False) -> None:
-        """Measure the surface of a field.
+    def solve(
+        self, system: LeastSquares, damping: float, linear: LinearConstraints | None
+    ) -> tuple[Solution, Float[Tensor, " s"]]:
+        """Return the minimiser, and the step that the functionals leave of it."""
+
+
+@dataclass(frozen=True)
+class HardRows:
+    """C x = r holds exactly in each solve, of bounds only those that the step would break."""
+
+    restores = True
+
+    def penalty_rows(self, linear: LinearConstraints) -> list[Rows]:
+        """Return none."""
+        return []
+
+    def solve(
+        self, system: LeastSquares, damping: float, linear: LinearConstraints | None
+    ) -> tuple[Solution, Float[Tensor, " s"]]:
+        """Return the constrained minimiser, twice."""
+        if linear is None:
+            return _unconstrained(system, damping)
+        held = linear.active()
+        solution = system.solve(damping, linear.only(held))
+        broken = linear.active(solution.x)
+        if bool((broken & ~held).any()):
+            solution = system.solve(damping, linear.only(broken))
+        return solution, solution.x
+
+
+@dataclass(frozen=True)
+class KernelProjection:
+    """The free minimiser, less its part that changes the functionals to first order, as in the paper: x - C^+ C x."""
+
+    restores = False
+
+    def penalty_rows(self, linear: LinearConstraints) -> list[Rows]:
+        """Return none."""
+        return []
+
+    def solve(
+        self, system: LeastSquares, damping: float, linear: LinearConstraints | None
+    ) -> tuple[Solution, Float[Tensor, " s"]]:
+        """Return the free minimiser, and its projection."""
+        solution, x = _unconstrained(system, damping)
+        if linear is None:
+            return solution, x
+        return solution, x - torch.linalg.pinv(linear.matrix) @ (linear.matrix @ x)
+
+
+@dataclass(frozen=True)
+class Penalty:
+    """A price on the squared relative gaps: price |(C x - r) / scale|^2 beside the step's energies."""
+
+    price: float
+    restores = False
+
+    def penalty_rows(self, linear: LinearConstraints) -> list[Rows]:
+        """Return the rows of the price."""
+        price = torch.full_like(linear.gap, self.price)
+        return [Rows(linear.matrix / linear.scales[:, None], linear.gap / linear.scales, price)]
+
+    def solve(
+        self, system: LeastSquares, damping: float, linear: LinearConstraints | None
+    ) -> tuple[Solution, Float[Tensor, " s"]]:
+        """Return the minimiser of all rows, twice."""
+        return _unconstrained(system, damping)
+
+
+def _unconstrained(system: LeastSquares, damping: float) -> tuple[Solution, Tensor]:
+    solution = system.solve(damping)
+    return solution, solution.x
+
+
+@dataclass(frozen=True, eq=False)
+class ConstraintSet:
+    """The functionals that an edit holds.
+
+    Attributes:
+        functionals: What is held.
+        holding: How.
+        names: Of the functionals in records.
+        targets: Value or bound of each.
+        scales: What the gap of each is relative to: its target, or where that is zero the area of the surface.
+        tolerance: Relative gap that is left after each step.
+        enforcement: How a step's least squares meet them.
+    """
+
+    functionals: tuple[Functional, ...]
+    holding: Holding
+    names: tuple[str, ...]
+    targets: tuple[float, ...]
+    scales: tuple[float, ...]
+    tolerance: float
+    enforcement: Enforcement
+
+    @classmethod
+    def of(
+        cls, field: Field, functionals: Sequence[Functional], holding: Holding, columns: Sequence[str] = ()
+    ) -> ConstraintSet:
+        """Return the set whose targets are, where none is given, the values of a field's surface.
+
+        Args:
+            field: At the start of the edit.
+            columns: Names in the records of the edit, which no functional may have.
+
+        Raises:
+            TypeError: One is no functional.
+            ValueError: A bound or a name will not do, or the field has no surface.
+        """
+        functionals = checked_constraints(functionals)
+        names = _names(functionals, columns)
+        default = 1e-8 if field.dtype == torch.float64 else 1e-5
+        price = holding.penalty * field.size ** (field.dimension + 1)
+        enforcements: dict[Enforce, Enforcement] = {
+            "rows": HardRows(),
+            "projection": KernelProjection(),
+            "penalty": Penalty(price),
+        }
+        # Where nothing is held, nothing is restored either.
+        enforcement = enforcements[holding.enforce] if functionals else Penalty(price)
+        free = cls(functionals, holding, names, (), (), holding.tolerance or default, enforcement)
+        if not functionals:
+            return free
+        measured = free.measure(field, fine=True)
+        targets = [v if c.target is None else c.target for c, v in zip(functionals, measured.values, strict=True)]
+        area = float(measured.sample.weights.sum())
+        return replace(free, targets=tuple(targets), scales=tuple(abs(t) if t != 0 else area for t in targets))
+
+    def measure(self, field: Field, *, fine: bool = False) -> Measurement:
+        """Return the surface of a field with the values on it.
+
+        Args:
+            fine: Whether on the fine quadrature, as at the start and at the end.
 
         Raises:
             ValueError: It has none any more, or its gradient vanishes there.
         """
         resolution = max(self.holding.fine_resolution, self.holding.resolution) if fine else self.holding.resolution
-        self.surface = meshed_quadrature(field, resolution)
-        self._values = [c.value(field, self.sample) for c in self.constraints]
+        surface = meshed_quadrature(field, resolution)
+        return Measurement(surface, tuple(c.value(field, surface.sample) for c in self.functionals))
 
-    def _gaps(self) -> list[float]:
-        """Target minus value, zero where a bound is met."""
-        gaps = [t - v for t, v in zip(self._targets, self._values, strict=True)]
-        return [g if s == 0 or g * s > 0 else 0.0 for g, s in zip(gaps, self._signs.tolist(), strict=True)]
+    def values(self, measured: Measurement | None) -> dict[str, float]:
+        """Return the measured values by name; none where nothing was measured."""
+        return {} if measured is None else dict(zip(self.names, measured.values, strict=True))
 
-    # The step
+    def violation(self, measured: Measurement | None) -> float:
+        """Return the largest relative distance of a value from its target or bound; 0 where nothing is held."""
+        if measured is None:
+            return 0.0
+        return max((abs(g) / s for g, s in zip(self._gaps(measured), self.scales, strict=True)), default=0.0)
 
-    def rows(self, field: Field, space: DeformationSpace) -> tuple[Tensor, Tensor]:
-        """C and r of all functionals: their sensitivities, and how far each value is from its target."""
-        r = [t - v for t, v in zip(self._targets, self._values, strict=True)]
-        return self._sensitivities(field, space), field.theta.new_tensor(r)
+    def linearised(
+        self, field: Field, space: DeformationSpace, measured: Measurement | None
+    ) -> LinearConstraints | None:
+        """Return the functionals to first order about a field, or None where nothing is held.
 
-    def binding(self, C: Float[Tensor, "m n"], r: Float[Tensor, " m"], x: Float[Tensor, " n"] | None) -> Tensor:
-        """Which rows must be held: all equalities, and the bounds that a step x would break (none known: none)."""
-        signs = self._signs.to(r)
-        if x is None or not bool((signs != 0).any()):
-            return signs == 0
-        return (signs == 0) | ((C @ x - r) * signs < 0)
+        Args:
+            measured: The surface of the field.
+        """
+        if not self.functionals or measured is None:
+            return None
+        like = field.theta
+        gap = [t - v for t, v in zip(self.targets, measured.values, strict=True)]
+        return LinearConstraints(
+            self._sensitivities(field, space, measured),
+            like.new_tensor(gap),
+            like.new_tensor(self._signs),
+            like.new_tensor(self.scales),
+        )
 
-    def charge(self, C: Float[Tensor, "m n"], r: Float[Tensor, " m"]) -> Rows:
-        """The rows of "penalty"."""
-        scales = r.new_tensor(self._scales)
-        return Rows(C / scales[:, None], r / scales, torch.full_like(r, self._price))
+    @property
+    def _signs(self) -> list[int]:
+        return [SIGNS[functional.bound] for functional in self.functionals]
 
-    def _sensitivities(self, field: Field, space: DeformationSpace) -> Float[Tensor, "m n"]:
-        steering = subsample(field, self.sample, STEERING_POINTS)
+    def _gaps(self, measured: Measurement) -> list[float]:
+        """Return target minus value, zero where a bound is met."""
+        gaps = [t - v for t, v in zip(self.targets, measured.values, strict=True)]
+        return [g if s == 0 or g * s > 0 else 0.0 for g, s in zip(gaps, self._signs, strict=True)]
+
+    def _sensitivities(self, field: Field, space: DeformationSpace, measured: Measurement) -> Float[Tensor, "m n"]:
+        steering = subsample(field, measured.sample, STEERING_POINTS)
         lengths = field.gradient_length(field.gradient(steering.points))
-        C = field.theta.new_zeros(len(self.constraints), space.size)
-        for k, constraint in enumerate(self.constraints):
+        C = field.theta.new_zeros(len(self.functionals), space.size)
+        for k, constraint in enumerate(self.functionals):
             density = steering.weights * constraint.shape_gradient(field, steering)
             C[k, : space.parameters] = space.reduced(adjoint(field, steering.points, density, lengths))
         return C
@@ -176,46 +336,60 @@ class Guard:
         self,
         field: Field,
         x: Float[Tensor, " n"],
-        system: Factorised,
         space: DeformationSpace,
+        correction: Correction,
         *,
+        measured: Measurement | None = None,
         fine: bool = False,
-        looked: bool = False,
-    ) -> Float[Tensor, " n"]:
-        """The step x with corrections by Newton's method, each the one that disturbs the step least.
+    ) -> tuple[Float[Tensor, " n"], Measurement]:
+        """Return the step x with corrections by Newton's method, and the surface after it.
 
         Args:
             field: At the start of the step.
+            x: The step's unknowns.
+            correction: From C and r to the change of x with C change = r that disturbs the step least.
+            measured: The surface after the step x, where it is known.
             fine: Whether to measure on the fine quadrature and come as near as the precision allows, as at the end.
-            looked: Whether the surface after the step has been measured already.
 
         Raises:
             NotHeldError: The values do not come within a thousand tolerances of their targets.
             ValueError: The surface is lost.
         """
+        tolerance = min(self.tolerance, 1e-8) if fine else self.tolerance
         C: Tensor | None = None
-        last = float("inf")
-        best, best_gap = x, float("inf")
+        last = best_gap = float("inf")
+        best: tuple[Tensor, Measurement] | None = None
         for _ in range(CORRECTIONS):
             moved = field.with_theta(field.theta + space.split(x)[0])
-            if not looked:
-                self.look(moved, fine=fine)
-            looked = False
-            gap = self.gap
+            measured = self.measure(moved, fine=fine) if measured is None else measured
+            gap = self.violation(measured)
             if gap < best_gap:
-                best, best_gap = x, gap
-            if gap <= (min(self._tolerance, 1e-8) if fine else self._tolerance):
-                return x
+                best, best_gap = (x, measured), gap
+            if gap <= tolerance:
+                return x, measured
             if gap > 0.5 * last:
                 break  # quadrature cells switch as the surface moves; in float32 that and rounding set a floor
             if C is None or gap > 0.1 * last:
-                C = self._sensitivities(moved, space)
+                C = self._sensitivities(moved, space, measured)
             last = gap
-            gaps = field.theta.new_tensor(self._gaps())
-            held = (gaps != 0) | (self._signs.to(gaps) == 0)
-            x = x + system.correction(C[held], gaps[held])
-        if best_gap > max(1e3 * self._tolerance, 1e-4):
+            gaps = field.theta.new_tensor(self._gaps(measured))
+            held = (gaps != 0) | (gaps.new_tensor(self._signs) == 0)
+            x, measured = x + correction(C[held], gaps[held]), None
+        if best is None or best_gap > max(1e3 * self.tolerance, 1e-4):
             raise NotHeldError(f"A constraint is {best_gap:.2g} from its target.")
-        if best is not x:
-            self.look(field.with_theta(field.theta + space.split(best)[0]), fine=fine)
         return best
+
+
+def _names(functionals: Sequence[Functional], columns: Sequence[str]) -> tuple[str, ...]:
+    """Return the name of each functional in records, with its number where several have the same."""
+    plain = [functional.name for functional in functionals]
+    names = [name if plain.count(name) == 1 else f"{name}_{k + 1}" for k, name in enumerate(plain)]
+    for k, (functional, name) in enumerate(zip(functionals, names, strict=True)):
+        # These two measure just what the column of their name holds.
+        same = type(functional) in (Volume, Area)
+        if names.count(name) > 1 or (name in columns and not same):
+            raise ValueError(
+                f"constraints[{k}] is called {name!r}, but the records of an edit have a column of that name already. "
+                "Give its class another name, or a `name` of its own."
+            )
+    return tuple(names)

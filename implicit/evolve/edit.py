@@ -1,9 +1,9 @@
-"""What an edit gives back: the edited field, how it ended, and the evidence."""
+"""The result of an edit: the edited field, how it ended, and the evidence."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import torch
@@ -13,10 +13,10 @@ from torch import Tensor
 from implicit.arguments import require_callable, require_positive, require_whole
 from implicit.field.field import Field, require_field
 from implicit.step.problem import Row
-from implicit.surface.extraction import require_resolution
+from implicit.surface.extraction import SurfaceError, require_resolution
 from implicit.surface.projection import newton_to_surface
 from implicit.surface.quadrature import SurfaceSample
-from implicit.surface.soundness import Soundness
+from implicit.surface.soundness import Soundness, changes, field_soundness
 
 Progress = Callable[[int, int, Row], None]
 Asked = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
@@ -50,7 +50,7 @@ def require_options(
 
 
 class EditStatus(Enum):
-    """How an edit ended; the value is the sentence a user reads."""
+    """Outcome of an edit; the value is the sentence a user reads."""
 
     DONE = "All steps were taken."
     REACHED = "The stopping rule was met before the last step."
@@ -99,7 +99,7 @@ class Edit:
     notes: tuple[str, ...] = ()
 
     def error_field(self, sample: SurfaceSample | None = None) -> Float[Tensor, " n"]:
-        """Achieved minus wanted normal displacement over the largest wanted one [paper, the error fields of fig. 4].
+        """Return achieved minus wanted normal displacement over the largest wanted one [paper, error fields of fig. 4].
 
         Achieved is measured on the edited field: each point x is put at its goal g = x + wanted, and projected from
         there to the edited surface. The signed way e along the edited surface's normal n' is the gap between the two
@@ -124,27 +124,68 @@ class Edit:
             points, normals = sample.points, sample.normals
         if self.asked is not None:
             wanted, along = self.asked(points, normals)
-        told = torch.isfinite(wanted).all(dim=1)
+        targeted = torch.isfinite(wanted).all(dim=1)
         error = torch.full_like(points[:, 0], float("nan"))
-        if not bool(told.any()):
+        if not bool(targeted.any()):
             return error
-        goal = points[told] + wanted[told]
-        largest = (wanted[told] * normals[told]).sum(dim=1).abs().max()
+        goal = points[targeted] + wanted[targeted]
+        largest = (wanted[targeted] * normals[targeted]).sum(dim=1).abs().max()
         surface, arrived = newton_to_surface(self.field, goal, reach=self.field.size / 2)
         facing = self.field.normal(surface)
-        way = ((surface - goal) * facing).sum(dim=1)
+        gap = ((surface - goal) * facing).sum(dim=1)
         if along is not None:
-            way = way / (along[told] * facing).sum(dim=1).clamp(min=LEAST_COSINE)
-        way = torch.where(arrived, way, torch.full_like(way, float("nan")))
-        error[told] = way / largest.clamp(min=torch.finfo(way.dtype).tiny)
+            gap = gap / (along[targeted] * facing).sum(dim=1).clamp(min=LEAST_COSINE)
+        gap = torch.where(arrived, gap, torch.full_like(gap, float("nan")))
+        error[targeted] = gap / largest.clamp(min=torch.finfo(gap.dtype).tiny)
         return error
 
 
-def reached(edit: Edit) -> bool:
-    """Whether the root mean square of the error field is at most REACHED_SHARE, where a displacement was asked for."""
+def edit_status(
+    ended: EditStatus, *, reached: bool = True, meshed: bool = True, more_pieces: bool = False
+) -> EditStatus:
+    """Return how an edit ended: the one place where that is decided.
+
+    Facts that come to light later are told of in a further call, with what the one before gave.
+
+    Args:
+        ended: How the loop did: DONE, REACHED, or why a step was not taken.
+        reached: Whether the prescribed displacement was reached.
+        meshed: Whether the edited field's surface can be meshed.
+        more_pieces: Whether that has more pieces than before, where none was to appear.
+    """
+    if not meshed:
+        return EditStatus.STRAY_PIECES
+    if ended not in (EditStatus.DONE, EditStatus.REACHED):
+        return ended
+    if not reached:
+        return EditStatus.NOT_REACHED
+    if ended is EditStatus.DONE and more_pieces:
+        return EditStatus.STRAY_PIECES
+    return ended
+
+
+def reached_target(edit: Edit) -> bool:
+    """Return whether the error field is within REACHED_SHARE (root mean square) where a displacement was asked for."""
     error = edit.error_field()
-    asked = torch.isfinite(edit.wanted).all(dim=1)
-    moved = asked & (edit.wanted.norm(dim=1) > 0)
+    targeted = torch.isfinite(edit.wanted).all(dim=1)
+    moved = targeted & (edit.wanted.norm(dim=1) > 0)
     if not bool(moved.any()):
         return True
-    return bool((error[asked] * edit.weights[asked].sqrt()).norm() <= REACHED_SHARE * edit.weights[moved].sum().sqrt())
+    allowed = REACHED_SHARE * edit.weights[moved].sum().sqrt()
+    return bool((error[targeted] * edit.weights[targeted].sqrt()).norm() <= allowed)
+
+
+def with_evidence(edit: Edit, before: Soundness, resolution: int) -> Edit:
+    """Return the edit with how sound its field was and is, in numbers and in words.
+
+    Args:
+        before: Of the field at the start.
+        resolution: Cells along the longest side of the bounds.
+    """
+    try:
+        after = field_soundness(edit.field, resolution)
+    except SurfaceError as error:
+        notes = (*edit.notes, f"The edited field cannot be meshed as it is: {error}")
+        return replace(edit, before=before, notes=notes, status=edit_status(edit.status, meshed=False))
+    status = edit_status(edit.status, more_pieces=after.pieces > before.pieces)
+    return replace(edit, before=before, after=after, notes=(*edit.notes, *changes(before, after)), status=status)

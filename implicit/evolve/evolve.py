@@ -1,45 +1,55 @@
-"""The outer loop of every edit: sample, assemble, solve, update, restore the constraints, carry points along.
+"""The outer loop of every edit. A step goes through six stations, and gives a new state and a row of the history:
 
-An operation states what one step minimises; what it holds fixed is a list of functionals. Constraints enter
-each step as hard rows, with the gap measured so far as their right-hand side, and are then restored to their
-value by Newton's method: the row alone is exact only to first order (the paper's own flow loses 1.6 % of the
-volume in 86 steps by that). See implicit.evolve.constraints and implicit.evolve.damping.
+    state the problem       what the operation minimises, over which displacements      implicit.step.problem
+    assemble                the least squares, and the functionals to first order       implicit.step, .constraints
+    solve                   at a damping at which the linear model holds                .trial, .damping
+    correct the surface     to where the linear model sends it, in one piece            .trial, .pieces
+    restore the constraints to their values, by Newton's method                         .constraints
+    carry the points        along with the surface                                      here
+
+Constraints enter each step as hard rows, with the gap measured so far as their right-hand side, and are then restored:
+the row alone is exact only to first order (the paper's own flow loses 1.6 % of the volume in 86 steps by that). They
+come after the correction, for they are what must hold at the end of the step.
 """
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Generic
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from implicit.evolve.constraints import Guard, Holding, NotHeldError
-from implicit.evolve.damping import Trust, miss
-from implicit.evolve.edit import Asked, Edit, EditStatus, Progress, reached
+from implicit.evolve.constraints import ConstraintSet, Holding, Measurement, NotHeldError
+from implicit.evolve.damping import AdaptiveDamping
+from implicit.evolve.edit import Asked, Edit, EditStatus, Progress, edit_status, reached_target
+from implicit.evolve.operation import Memory, Operation, State, Taken
+from implicit.evolve.pieces import pieces, topology_row, undivided_part
+from implicit.evolve.record import COLUMNS, StepRecord, history_row
+from implicit.evolve.trial import Attempt, StepRefused, Trial, normal_correction
 from implicit.field.field import Field
 from implicit.sensitivity.shape_functionals import Functional
-from implicit.step.deformation import DeformationSpace
-from implicit.step.energies import NormalTarget
-from implicit.step.least_squares import Factorised, LeastSquares, Solution, SolveStatus
-from implicit.step.problem import Operation, Row, State, StepProblem, assemble, predicted_way
+from implicit.step.least_squares import Factorised, Solution
+from implicit.step.problem import Projection, Row, StepProblem, assemble, predicted_displacement
 from implicit.surface.projection import newton_to_surface, require_on_surface
 from implicit.surface.quadrature import SurfaceSample
-from implicit.surface.topology import Topology, settled_topology
+from implicit.surface.topology import Topology
 
-# Where Newton's method leaves points, relative to the field's size, with a margin.
-PRECISION = {torch.float32: 4e-6, torch.float64: 4e-12}
+# Part of the tracked points of which more must reach the moved surface for a try to be accepted: where pieces may
+# vanish a few are lost with them.
+LEAST_ARRIVED, LEAST_ARRIVED_CHANGING = 0.995, 0.98
 
-# Corrections after a step whose surface is to settle.
-SETTLINGS = 4
+# Part of the tracked points that a step may lose where pieces may not vanish.
+MOST_LOST = 0.02
 
 
 def evolve(
     field: Field,
-    operation: Operation,
+    operation: Operation[Memory],
     start: SurfaceSample,
     *,
     steps: int,
@@ -56,10 +66,11 @@ def evolve(
 
     Args:
         start: Points of the surface to carry along.
+        steps: The most steps to take.
         constraints: Functionals to hold, each at its target or, without one, at its value at the start.
         resolution: Of the quadrature that measures the constraints, unless `holding` says.
         holding: How they are held; None is by hard rows and Newton's method.
-        changing: Whether the surface may change its topology. It is then measured in every step, and a carried point
+        changing: Whether the surface may change its topology. It is then measured in every step, and a tracked point
             that loses its sheet goes on from the nearest point of the surface.
         track: Further points on the surface to carry along.
         wanted: Displacement asked for at the starting points, for the error field.
@@ -68,332 +79,310 @@ def evolve(
 
     Returns:
         The edit as far as it went; its status says why it ended.
+
+    Raises:
+        ValueError: A functional has the name of a column of the records, or the field has no surface.
     """
     began = time.perf_counter()
-    guard = Guard(field, constraints, holding or Holding(resolution=resolution), always=changing)
-    loop = _Loop(field, operation, guard, changing)
-    carried = start.points if track is None else torch.cat([start.points, require_on_surface(field, track, "track")])
-    own = len(start.points)
+    columns = (*COLUMNS, *operation.columns)
+    held = ConstraintSet.of(field, constraints, holding or Holding(resolution=resolution), columns)
+    loop = Loop(operation, held, changing)
+    state = loop.start(field, start, track)
     history: list[Row] = []
     trail: list[Tensor] = []
-    status = EditStatus.DONE
-    for step in range(steps):
-        clock = time.perf_counter()
-        state = State(field, step, carried[:own], None if guard.surface is None else guard.sample)
-        if operation.finished(state, history):
-            status = EditStatus.REACHED
+    ended = EditStatus.DONE
+    for _ in range(steps):
+        finished = operation.finished(state, history)
+        if finished is not None:
+            ended = finished
             break
-        taken = loop.take(state, carried)
-        if isinstance(taken, EditStatus):
-            status = taken
+        try:
+            step = loop.step(state)
+        except StepRefused as refusal:
+            ended = refusal.status
             break
-        field, carried, row = taken
-        trail.append(carried[own:])
-        row = {"step": step + 1, **row, "seconds": time.perf_counter() - clock}
-        history.append(row)
+        state = step.state
+        history.append(step.row)
+        trail.append(state.further)
         if progress is not None:
-            progress(step + 1, steps, row)
+            progress(len(history), steps if step.steps is None else step.steps, step.row)
     if history:
-        field, carried = loop.polish(field, carried, history[-1])
-        trail[-1] = carried[own:]
+        state, history[-1] = loop.polished(state, history[-1])
+        trail[-1] = state.further
     edit = Edit(
-        field=field,
+        field=state.field,
         points=start.points,
         normals=start.normals,
         weights=start.weights,
-        displacement=carried[:own] - start.points,
+        displacement=state.points - start.points,
         wanted=torch.full_like(start.points, float("nan")) if wanted is None else wanted,
-        tracked=None if track is None else carried[own:],
+        tracked=None if track is None else state.further,
         trail=() if track is None else tuple(trail),
         history=history,
-        status=status,
+        status=ended,
         seconds=time.perf_counter() - began,
         asked=asked,
     )
-    if status in (EditStatus.DONE, EditStatus.REACHED) and not reached(edit):
-        edit = replace(edit, status=EditStatus.NOT_REACHED)
-    return edit
+    return replace(edit, status=edit_status(ended, reached=reached_target(edit)))
 
 
 def first_solve(
-    field: Field, operation: Operation, start: SurfaceSample, resolution: int = 48
+    field: Field, operation: Operation[Memory], start: SurfaceSample, resolution: int = 48
 ) -> tuple[Factorised, Solution] | EditStatus:
-    """Solve the first step of an operation at the damping that its linearity allows, and do not take it."""
-    guard = Guard(field, (), Holding(resolution=resolution), always=False)
-    return _Loop(field, operation, guard, changing=False).solve(State(field, 0, start.points, None))
+    """Return the first step's factored least squares and its solution at the damping that the linear model allows.
+
+    The step is not taken. Where no damping allows it, the status of the edit that would end there comes back.
+    """
+    loop = Loop(operation, ConstraintSet.of(field, (), Holding(resolution=resolution)), changing=False)
+    state = loop.start(field, start, None)
+    attempt = loop.assembled(state, operation.step(state))
+    try:
+        trial, _ = attempt.accepted(state.damping)
+    except StepRefused as refusal:
+        return refusal.status
+    return trial.factorised, trial.solution
 
 
 @dataclass(frozen=True, eq=False)
-class _Trial:
-    """A step that may be taken: the moved field and the probed points on it."""
+class Step(Generic[Memory]):
+    """A step that was taken.
 
-    solution: Solution
-    x: Tensor  # the unknowns, after what the constraints took out
-    moved: Field
-    way: Tensor  # predicted motion of the probed points
-    arrived_at: Tensor
-    arrived: Tensor
-    reach: float
-    solves: int
-
-    @property
-    def factorised(self) -> Factorised:
-        """What solved it; a failed solve makes no trial."""
-        assert self.solution.factorised is not None
-        return self.solution.factorised
-
-
-class _Loop:
-    """One step of an operation after the other."""
-
-    def __init__(self, field: Field, operation: Operation, guard: Guard, changing: bool) -> None:
-        self._operation, self._guard, self._changing = operation, guard, changing
-        self._trust = Trust(field.dtype)
-        self._last: tuple[Factorised, DeformationSpace] | None = None
-        self._topology: Topology | None = None
-        if changing:
-            self._topology = self._pieces(field)
-        self._found: Topology | None = None
-
-    def solve(self, state: State) -> tuple[Factorised, Solution] | EditStatus:
-        """A step's least squares, at the damping that its linearity allows; it is not taken."""
-        problem = self._operation.step(state)
-        system = assemble(problem)
-        trial = self._trial(state, problem, system, None, state.points)
-        return trial if isinstance(trial, EditStatus) else (trial.factorised, trial.solution)
-
-    def take(self, state: State, carried: Tensor) -> tuple[Field, Tensor, Row] | EditStatus:
-        """One step: the new field, the carried points on it, and the record; or why it was not taken."""
-        field, guard = state.field, self._guard
-        problem = self._operation.step(state)
-        space = problem.space
-        system = assemble(problem)
-        fixed = guard.rows(field, space) if guard.constraints else None
-        if fixed is not None and guard.holding.enforce == "penalty":
-            system.add(guard.charge(*fixed))
-            fixed = None
-        clock = time.perf_counter()
-        trial = self._trial(state, problem, system, fixed, carried)
-        if isinstance(trial, EditStatus):
-            return trial
-        solved = time.perf_counter() - clock
-        x, moved = trial.x, trial.moved
-        way, arrived_at, arrived = trial.way, trial.arrived_at, trial.arrived
-        part = 1.0
-        if problem.settle is not None:
-            x = x + _settled(problem, trial, state.points)
-        try:
-            if self._changing:
-                part = self._undivided(field, x, space)
-                x = part * x
-            if guard.hard:
-                x = guard.restore(field, x, trial.factorised, space, looked=self._changing)
-                if not bool(torch.isfinite(x).all()):
-                    return EditStatus.NOT_FINITE
-            elif guard.surface is not None and not self._changing:
-                guard.look(moved)
-            moved = field.with_theta(field.theta + space.split(x)[0])
-            if guard.hard or problem.probe is not None or problem.settle is not None:
-                if problem.settle is None:
-                    way = predicted_way(problem, x, carried)
-                arrived_at, arrived = newton_to_surface(moved, carried + way, reach=trial.reach)
-        except NotHeldError:
-            return EditStatus.CONSTRAINT_NOT_HELD
-        except ValueError:
-            return EditStatus.SURFACE_LOST
-        if self._changing:
-            arrived_at[~arrived] = _nearest(guard.sample.points, arrived_at[~arrived])
-        elif float((~arrived).double().mean()) > 0.02:
-            return EditStatus.SURFACE_LOST
-        self._last = trial.factorised, space
-        missed, size = miss(trial.way, trial.arrived_at - _probed(problem, carried), trial.arrived)
-        solution = trial.solution
-        row = {
-            **guard.record,
-            "constraint_gap": guard.gap,
-            "residual": solution.residual,
-            "objective": solution.objective,
-            "condition": solution.condition,
-            "rank": solution.rank,
-            "damping": solution.damping,
-            "method": solution.method,
-            "largest_motion": float(way.norm(dim=1).max()),
-            "linearity_error": missed / max(size, 1e-300),
-            "d_theta_norm": float((moved.theta - field.theta).norm()),
-            "points_lost": int((~arrived).sum()),
-            "solve_status": solution.status.value,
-            "solves": trial.solves,
-            "seconds_solve": solved,
-        }
-        after = (
-            {}
-            if problem.record is None or guard.surface is None
-            else problem.record(moved, guard.surface, guard.record, part)
-        )
-        return moved, arrived_at, {**(problem.row or {}), **after, **self._turn(), **row}
-
-    def _undivided(self, field: Field, x: Tensor, space: DeformationSpace) -> float:
-        """The part of a step to take so that the surface does not fall into more pieces, and that surface measured.
-
-        Where a step is longer than a thin part is wide, it leaves crumbs behind that a shorter one does not. If even
-        a quarter of the step divides the surface, the division is no artefact, and the whole step is taken.
-        """
-        assert self._topology is not None
-        for part in (1.0, 0.5, 0.25, 1.0):
-            moved = field.with_theta(field.theta + space.split(part * x)[0])
-            self._guard.look(moved)
-            found = self._pieces(moved)
-            if found.components <= self._topology.components:
-                break
-        self._found = found
-        return part
-
-    def _pieces(self, field: Field) -> Topology:
-        surface = self._guard.surface
-        assert surface is not None
-        mesh = surface.vertices.double().cpu().numpy(), surface.faces.cpu().numpy()
-        return settled_topology(field, mesh, self._guard.holding.resolution, self._topology)
-
-    def _turn(self) -> Row:
-        """The record of the surface's pieces, and of what became of them in this step."""
-        if self._topology is None or self._found is None:
-            return {}
-        before, after = self._topology, self._found
-        self._topology = after
-        row: Row = {"components": after.components, "euler": after.euler}
-        if (before.components, before.euler) != (after.components, after.euler):
-            row["event"] = (
-                f"Pieces {before.components} to {after.components}, Euler number {before.euler} to {after.euler}."
-            )
-        return row
-
-    def polish(self, field: Field, carried: Tensor, row: Row) -> tuple[Field, Tensor]:
-        """The last restoration, on the fine quadrature; what cannot be restored stays as it is."""
-        if not self._guard.hard or self._last is None:
-            return field, carried
-        system, space = self._last
-        try:
-            x = self._guard.restore(field, field.theta.new_zeros(space.size), system, space, fine=True)
-            moved = field.with_theta(field.theta + space.split(x)[0])
-            arrived_at, arrived = newton_to_surface(moved, carried, reach=field.size / 100)
-        except ValueError:
-            return field, carried
-        row |= {**self._guard.record, "constraint_gap": self._guard.gap}
-        return moved, torch.where(arrived[:, None], arrived_at, carried)
-
-    def _trial(
-        self,
-        state: State,
-        problem: StepProblem,
-        system: LeastSquares,
-        fixed: tuple[Tensor, Tensor] | None,
-        carried: Tensor,
-    ) -> _Trial | EditStatus:
-        """Solve, and solve again with more damping while the surface does not go where the linear model says.
-
-        The assembled matrix serves every try, so that a further one costs a factorisation and a projection.
-        """
-        last: _Trial | EditStatus = EditStatus.UNSTABLE
-        trust = self._trust
-        damping = trust.begin(problem.first_damping)
-        for solves in range(1, trust.tries + 1):
-            solution, x = self._solve(system, problem, damping, fixed)
-            if solution.status is SolveStatus.FAILED:
-                return EditStatus.NOT_FINITE
-            last, ratio = self._try(state.field, problem, solution, x, solves, carried)
-            if ratio <= 1:
-                trust.after(ratio, problem.least_damping)
-                break
-            if problem.damping is not None:
-                break
-            damping = trust.raise_damping()
-        return last
-
-    def _try(
-        self,
-        field: Field,
-        problem: StepProblem,
-        solution: Solution,
-        x: Tensor,
-        solves: int,
-        carried: Tensor,
-    ) -> tuple[_Trial | EditStatus, float]:
-        """One step tried on the field, and how much it misses its prediction in units of what is allowed."""
-        moved = field.with_theta(field.theta + problem.space.split(x)[0])
-        if not bool(torch.isfinite(moved.theta).all()):
-            return EditStatus.NOT_FINITE, math.inf
-        points = _probed(problem, carried)
-        way = predicted_way(problem, x, points)
-        # A point may have to go as far again as it was predicted to; a cell more allows for small steps.
-        reach = 2 * float(way.norm(dim=1).max()) + 2 * field.size / self._guard.holding.resolution
-        try:
-            arrived_at, arrived = problem.place(moved, points + way, reach=reach)
-        except ValueError:
-            return EditStatus.SURFACE_LOST, math.inf
-        trial = _Trial(solution, x, moved, way, arrived_at, arrived, reach, solves)
-        missed, size = miss(way, arrived_at - points, arrived)
-        # A miss up to what the step leaves undone anyway is worth its smaller residual. But beyond a fifth of the
-        # motion the linear model says too little: of constraints, of how thin parts vanish, of a target out of reach
-        # (letters on a bracket were once pushed until the slope of the field fell to a seventh).
-        undone = min(solution.residual, 0.2 * size)
-        floor = PRECISION[field.dtype] * field.size  # to which points are placed on the surface at all
-        allowed = max(problem.allowed_miss * size, floor, undone)
-        kept = float(arrived.double().mean())
-        return trial, missed / allowed if kept > (0.98 if self._changing else 0.995) else math.inf
-
-    def _solve(
-        self, system: LeastSquares, problem: StepProblem, relative: float, fixed: tuple[Tensor, Tensor] | None
-    ) -> tuple[Solution, Tensor]:
-        """The minimiser, and what the constraints leave of it."""
-        damping = relative * system.trace() if problem.damping is None else problem.damping
-        if fixed is None:
-            solution = system.solve(damping)
-            return solution, solution.x
-        C, r = fixed
-        if self._guard.holding.enforce == "projection":
-            solution = system.solve(damping)
-            return solution, solution.x - torch.linalg.pinv(C) @ (C @ solution.x)
-        held = self._guard.binding(C, r, None)
-        solution = system.solve(damping, (C[held], r[held]))
-        broken = self._guard.binding(C, r, solution.x)
-        if bool((broken & ~held).any()):
-            solution = system.solve(damping, (C[broken], r[broken]))
-        return solution, solution.x
-
-
-def _settled(problem: StepProblem, trial: _Trial, points: Tensor) -> Tensor:
-    """What to add to a step's unknowns so that the surface goes where the linear model sends the starting points.
-
-    A step that minimises strain moves far along the surface, and where the normal turns on the way the surface misses
-    by ripples that cost more strain than the whole motion. So the rest of the way is taken by Newton's method: normal
-    motions, each a small least squares. It stops when a correction no longer halves what is left.
+    Attributes:
+        state: After it.
+        row: Of the history.
+        steps: How many steps there will be, as far as the operation knows; None is as many as were asked for.
     """
-    assert problem.settle is not None
-    goal = points + trial.way[: len(points)]
-    field, at, directions = trial.moved, trial.arrived_at[: len(points)], problem.space.directions
-    change = torch.zeros_like(trial.x)
-    left = float("inf")
-    for _ in range(SETTLINGS):
-        gap = ((goal - at) * field.normal(at)).sum(dim=1)
-        size = float(problem.settle @ gap.square())
-        if not size < 0.25 * left:
-            break
-        left = size
-        space = DeformationSpace(field, directions=directions)
-        step = assemble(StepProblem(space, [NormalTarget(at, gap, problem.settle)])).solve()
-        moved = field.with_theta(field.theta + space.split(step.x)[0])
-        arrived_at, arrived = newton_to_surface(moved, goal, reach=trial.reach)
-        if not bool(arrived.all()):
-            break
-        field, at = moved, arrived_at
-        change[: len(step.x)] += step.x
-    return change
+
+    state: State[Memory]
+    row: Row
+    steps: int | None
 
 
-def _probed(problem: StepProblem, carried: Tensor) -> Tensor:
-    return carried if problem.probe is None else problem.probe
+@dataclass(frozen=True, eq=False)
+class Moved:
+    """A step on its way from the solve to the surface.
+
+    Attributes:
+        x: Its unknowns.
+        part: Of the solved step, at most 1.
+        measured: The surface after it, where it is measured.
+        topology: The pieces of that, where they are watched.
+    """
+
+    x: Float[Tensor, " s"]
+    part: float = 1.0
+    measured: Measurement | None = None
+    topology: Topology | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Loop(Generic[Memory]):
+    """The part of an edit that stays the same from step to step.
+
+    Attributes:
+        operation: What the user asked for.
+        constraints: What is held.
+        changing: Whether the surface may change its topology.
+    """
+
+    operation: Operation[Memory]
+    constraints: ConstraintSet
+    changing: bool
+
+    def start(self, field: Field, start: SurfaceSample, track: Float[Tensor, "m d"] | None) -> State[Memory]:
+        """Return the state before the first step.
+
+        Args:
+            start, track: Points of the surface to carry along: the starting points, and the caller's.
+        """
+        points = start.points if track is None else torch.cat([start.points, require_on_surface(field, track, "track")])
+        measured = self.constraints.measure(field) if self.changing or self.constraints.functionals else None
+        topology = None
+        if self.changing and measured is not None:
+            topology = pieces(measured, field, self.constraints.holding.resolution)
+        return State(
+            field=field,
+            step=0,
+            tracked=points,
+            starting=len(start.points),
+            memory=self.operation.start(field, start.points),
+            measured=measured,
+            topology=topology,
+            damping=AdaptiveDamping.of_precision(field.dtype),
+        )
+
+    def step(self, state: State[Memory]) -> Step[Memory]:
+        """Return one step.
+
+        Raises:
+            StepRefused: It cannot be taken.
+        """
+        began = time.perf_counter()
+
+        # State the problem
+        problem = self.operation.step(state)
+        field, space = state.field, problem.space
+
+        # Assemble
+        attempt = self.assembled(state, problem)
+
+        # Solve at an adaptive damping
+        clock = time.perf_counter()
+        trial, damping = attempt.accepted(state.damping)
+        seconds_solve = time.perf_counter() - clock
+
+        with _refused_without_surface():
+            # Correct the surface
+            moved = self._corrected(state, problem, trial)
+
+            # Restore the constraints
+            moved = self._restored(state, problem, trial.factorised, moved)
+            edited = field.with_theta(field.theta + space.split(moved.x)[0])
+
+            # Carry the points
+            predicted, projection = _carried(state, problem, trial, moved, edited)
+            tracked = self._found_again(projection, moved.measured)
+
+        # What the operation makes of it, and the record
+        after = replace(
+            state,
+            field=edited,
+            step=state.step + 1,
+            tracked=tracked,
+            measured=moved.measured,
+            topology=moved.topology,
+            damping=damping,
+            correction=(trial.factorised.correction, space),
+        )
+        outcome = self.operation.taken(
+            state,
+            Taken(
+                field=edited,
+                points=after.points,
+                part=moved.part,
+                error=trial.error,
+                solves=trial.solves,
+                surface=None if moved.measured is None else moved.measured.surface,
+                values=self.constraints.values(moved.measured),
+                space=projection.space,
+            ),
+        )
+        row = history_row(
+            after.step,
+            {**(problem.row or {}), **outcome.row},
+            topology_row(state.topology, moved.topology),
+            self.constraints.values(moved.measured),
+            StepRecord.of(
+                trial,
+                constraint_gap=self.constraints.violation(moved.measured),
+                largest_motion=float(predicted.norm(dim=1).max()),
+                d_theta_norm=float((edited.theta - field.theta).norm()),
+                points_lost=int((~projection.arrived).sum()),
+                seconds_solve=seconds_solve,
+            ),
+            time.perf_counter() - began,
+        )
+        return Step(replace(after, memory=outcome.memory), row, outcome.steps)
+
+    def assembled(self, state: State[Memory], problem: StepProblem) -> Attempt:
+        """Return a step's least squares with the functionals to first order, ready to be tried."""
+        constraints = self.constraints
+        linear = constraints.linearised(state.field, problem.space, state.measured)
+        system = assemble(problem)
+        for rows in [] if linear is None else constraints.enforcement.penalty_rows(linear):
+            system.add(rows)
+        return Attempt(
+            problem,
+            system,
+            constraints.enforcement,
+            linear,
+            state.tracked,
+            constraints.holding.resolution,
+            LEAST_ARRIVED_CHANGING if self.changing else LEAST_ARRIVED,
+        )
+
+    def _corrected(self, state: State[Memory], problem: StepProblem, trial: Trial) -> Moved:
+        """Return the step that goes where the linear model sends it, or the part of that which divides nothing."""
+        x = trial.x
+        if problem.correction_weights is not None:
+            x = x + normal_correction(problem, trial, state.points, problem.correction_weights)
+        if state.topology is None:
+            return Moved(x)
+        whole = undivided_part(state.field, x, problem.space, self.constraints, state.topology)
+        return Moved(whole.part * x, whole.part, whole.measured, whole.topology)
+
+    def _restored(self, state: State[Memory], problem: StepProblem, factorised: Factorised, moved: Moved) -> Moved:
+        """Return the step after which the functionals are at their targets, and the surface measured."""
+        field, space, constraints = state.field, problem.space, self.constraints
+        if constraints.enforcement.restores:
+            x, measured = constraints.restore(field, moved.x, space, factorised.correction, measured=moved.measured)
+            if not bool(torch.isfinite(x).all()):
+                raise StepRefused(EditStatus.NOT_FINITE)
+            return replace(moved, x=x, measured=measured)
+        if constraints.functionals and moved.measured is None:
+            edited = field.with_theta(field.theta + space.split(moved.x)[0])
+            return replace(moved, measured=constraints.measure(edited))
+        return moved
+
+    def _found_again(self, projection: Projection, measured: Measurement | None) -> Tensor:
+        """Return the tracked points after a step; those that lost their sheet go on from the nearest point.
+
+        Raises:
+            StepRefused: Too many are lost where no piece of the surface may vanish.
+        """
+        lost = ~projection.arrived
+        if self.changing and measured is not None:
+            points = projection.points.clone()
+            points[lost] = _nearest(measured.sample.points, points[lost])
+            return points
+        if float(lost.double().mean()) > MOST_LOST:
+            raise StepRefused(EditStatus.SURFACE_LOST)
+        return projection.points
+
+    def polished(self, state: State[Memory], row: Row) -> tuple[State[Memory], Row]:
+        """Return the end of an edit with its values restored on the fine quadrature, and its last row with them.
+
+        What cannot be restored stays as it is.
+        """
+        if not self.constraints.enforcement.restores or state.correction is None:
+            return state, row
+        (correction, space), field = state.correction, state.field
+        try:
+            zero = field.theta.new_zeros(space.size)
+            x, measured = self.constraints.restore(field, zero, space, correction, fine=True)
+            moved = field.with_theta(field.theta + space.split(x)[0])
+            points, arrived = newton_to_surface(moved, state.tracked, reach=field.size / 100)
+        except ValueError:
+            return state, row
+        row = {**row, **self.constraints.values(measured), "constraint_gap": self.constraints.violation(measured)}
+        tracked = torch.where(arrived[:, None], points, state.tracked)
+        return replace(state, field=moved, tracked=tracked, measured=measured), row
+
+
+def _carried(
+    state: State[Memory], problem: StepProblem, trial: Trial, moved: Moved, edited: Field
+) -> tuple[Tensor, Projection]:
+    """Return the predicted motion of the tracked points, and the points on the edited surface."""
+    if moved.x is trial.x and problem.probe is None:
+        return trial.predicted, trial.projection
+    if problem.correction_weights is None:
+        predicted = predicted_displacement(problem, moved.x, state.tracked)
+    else:  # corrected so that the surface goes there
+        predicted = trial.predicted
+    return predicted, problem.project(edited, state.tracked + predicted, trial.reach)
+
+
+@contextmanager
+def _refused_without_surface() -> Iterator[None]:
+    """Turn what measuring or restoring a surface refuses into why a step is not taken."""
+    try:
+        yield
+    except NotHeldError as error:
+        raise StepRefused(EditStatus.CONSTRAINT_NOT_HELD) from error
+    except ValueError as error:
+        raise StepRefused(EditStatus.SURFACE_LOST) from error
 
 
 def _nearest(surface: Tensor, points: Tensor) -> Tensor:
-    """The nearest of some surface points to each point."""
+    """Return the nearest of some surface points to each point."""
     return surface[torch.cat([torch.cdist(part, surface).argmin(dim=1) for part in points.split(1000)])]

@@ -71,13 +71,6 @@ class Mlp(nn.Module):
             h = torch.relu(h) if self.activation == "relu" else nn.functional.softplus(h, self.sharpness)
         return self.layers[-1](h).squeeze(-1)
 
-    def activate(self, layer: int, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the activation after a hidden layer with its two derivatives, for implicit.sensitivity.closed_form."""
-        if self.activation == "relu":
-            return torch.relu(z), (z > 0).to(z), torch.zeros_like(z)
-        rise = torch.sigmoid(self.sharpness * z)
-        return nn.functional.softplus(z, self.sharpness), rise, self.sharpness * rise * (1 - rise)
-
     def describe(self) -> dict[str, Any]:
         """Return the name and the arguments that make this network again."""
         first = self.layers[0]

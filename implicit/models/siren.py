@@ -65,18 +65,16 @@ class Siren(nn.Module):
                 layer.weight.uniform_(-reach, reach, generator=generator)
                 layer.bias.uniform_(-(inputs**-0.5), inputs**-0.5, generator=generator)
 
-    def forward(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
+    def forward(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n ..."]:
         """Return the values at the points."""
-        h = torch.sin(self.first_frequency * self.layers[0](points))
-        for layer in self.layers[1:-1]:
-            h = torch.sin(self.frequency * layer(h))
+        h = points
+        for k, layer in enumerate(self.layers[:-1]):
+            h = self.activate(k, layer(h))
         return self.layers[-1](h).squeeze(-1)
 
-    def activate(self, layer: int, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the sine after a hidden layer with its two derivatives, for implicit.sensitivity.closed_form."""
-        frequency = self.first_frequency if layer == 0 else self.frequency
-        wave = torch.sin(frequency * z)
-        return wave, frequency * torch.cos(frequency * z), -(frequency**2) * wave
+    def activate(self, layer: int, z: Tensor) -> Tensor:
+        """Return the sine after a hidden layer."""
+        return torch.sin((self.first_frequency if layer == 0 else self.frequency) * z)
 
     def describe(self) -> dict[str, Any]:
         """Return the name and the arguments that make this network again."""

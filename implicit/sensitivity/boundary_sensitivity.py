@@ -20,7 +20,7 @@ from torch.func import grad, grad_and_value, jvp, vmap
 
 from implicit.arguments import require_tensor
 from implicit.field.field import CHUNK, Field, require_field
-from implicit.sensitivity.closed_form import is_plain, plain_gradient, plain_gradient_and_slope
+from implicit.sensitivity import closed_form
 
 # Numbers in the largest block of B made at once, 256 MB in float64: enough rows for the symmetric product, whose
 # every call reads and writes the whole normal matrix.
@@ -55,8 +55,8 @@ def basis_block(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n 
 
 def parameter_gradient(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n p"]:
     """Return df/dtheta at each point."""
-    if is_plain(field):
-        return plain_gradient(field, points)
+    if closed_form.has_closed_form(field):
+        return closed_form.gradient(field, points)
     try:
         return vmap(grad(_at_one_point(field)), in_dims=(None, 0))(field.theta, points)
     except (RuntimeError, NotImplementedError) as error:
@@ -67,7 +67,7 @@ def value_and_gradients(
     field: Field, points: Float[Tensor, "n d"]
 ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n d"], Float[Tensor, "n p"]]:
     """Return f, df/dx and df/dtheta at each point, by one forward and one backward pass where torch can."""
-    if not is_plain(field):
+    if not closed_form.has_closed_form(field):
         both = vmap(grad_and_value(_at_one_point(field), argnums=(0, 1)), in_dims=(None, 0))
         try:
             (of_theta, of_x), values = both(field.theta, points)
@@ -152,8 +152,8 @@ def adjoint(
 
 def parameter_gradient_and_slope(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n e p"]:
     """Return df/dtheta and, after it, its derivatives in space d(df/dtheta)/dx, (N, 1 + D, P)."""
-    if is_plain(field):
-        return plain_gradient_and_slope(field, points)
+    if closed_form.has_closed_form(field, in_space=True):
+        return closed_form.gradient_and_slope(field, points)
     gradient = grad(_at_one_point(field))
 
     def one(theta: Tensor, point: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:

@@ -24,7 +24,7 @@ class Frame:
 
     @classmethod
     def at(cls, field: Field, points: Float[Tensor, "n d"]) -> Frame:
-        """Evaluate the field there."""
+        """Evaluate the field at the points."""
         gradients, hessians = field.gradient_and_hessian(points)
         return cls(points, gradients, field.gradient_length(gradients), hessians)
 
@@ -40,6 +40,16 @@ class Frame:
         return scaled - self.normals[:, :, None] * torch.einsum("ni,nij->nj", self.normals, scaled)[:, None, :]
 
     @cached_property
+    def normal_slopes_in_axes(self) -> Float[Tensor, "n d d"]:
+        """dn/dx in the axes, the normal last."""
+        return self.axes @ self.normal_slopes @ self.axes.transpose(1, 2)
+
+    @property
+    def shape_operator(self) -> Float[Tensor, "n t t"]:
+        """dn/dx on the tangent plane, in its axes; its eigenvalues are the principal curvatures."""
+        return self.normal_slopes_in_axes[:, :-1, :-1]
+
+    @cached_property
     def quotient_rule(self) -> Float[Tensor, "n e e"]:
         """The matrices that take df/dtheta and its slope in space to those of u = -(df/dtheta) / |df/dx|."""
         rule = torch.diag_embed(-1 / self.lengths[:, None].expand(-1, 1 + self.points.shape[1]))
@@ -52,9 +62,23 @@ class Frame:
         """Rows: an orthonormal basis of the tangent plane, then the normal."""
         return axes_of(self.normals)
 
+    def __repr__(self) -> str:
+        n, d = self.points.shape
+        return f"Frame({n} points in {d} dimensions, {str(self.points.dtype).removeprefix('torch.')})"
+
+
+def normal_component(vectors: Float[Tensor, "n d"], normals: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
+    """Return the part n (n . v) of vectors along the normals."""
+    return normals * (normals * vectors).sum(dim=1, keepdim=True)
+
+
+def tangential_component(vectors: Float[Tensor, "n d"], normals: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
+    """Return the part (I - n n^T) v of vectors along the surface."""
+    return vectors - normal_component(vectors, normals)
+
 
 def axes_of(normals: Float[Tensor, "n d"]) -> Float[Tensor, "n d d"]:
-    """Rows: an orthonormal basis of the tangent plane, then the normal."""
+    """Return as rows an orthonormal basis of the tangent plane, then the normal."""
     n = normals
     if n.shape[1] == 2:
         return torch.stack([torch.stack([-n[:, 1], n[:, 0]], dim=1), n], dim=1)
@@ -64,5 +88,5 @@ def axes_of(normals: Float[Tensor, "n d"]) -> Float[Tensor, "n d d"]:
 
 
 def speed_and_slope(field: Field, frame: Frame) -> Float[Tensor, "n e p"]:
-    """u = b and, after it, du/dx, (N, 1 + D, P)."""
+    """Return u = b and, after it, du/dx, (N, 1 + D, P)."""
     return frame.quotient_rule @ parameter_gradient_and_slope(field, frame.points)

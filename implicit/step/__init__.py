@@ -1,1 +1,1 @@
-"""What one step minimises, over which displacements, and how it is solved [paper, eq. 4 and 5, appendix B]."""
+"""The problem of one step: energies, displacements to choose from, and the solve [paper, eq. 4 and 5, appendix B]."""

@@ -1,4 +1,4 @@
-"""What can move: displacements of the surface that an edit may choose from, all linear in a few unknowns.
+"""Displacements of the surface that an edit may choose from, all linear in a few unknowns.
 
     D(x) = n u + (I - n n^T) T(x),    u = b . d_theta    normal part, spanned by the parameters
                                       T = phi c          tangential part, spanned by a linear basis (optional)
@@ -23,7 +23,8 @@ from implicit.sensitivity.boundary_sensitivity import (
     parameter_gradient_and_slope,
     row_blocks,
 )
-from implicit.sensitivity.frame import Frame, axes_of, speed_and_slope
+from implicit.sensitivity.frame import Frame, axes_of, normal_component, speed_and_slope
+from implicit.step.strain import strain
 from implicit.step.tangential_basis import TangentialModel
 
 
@@ -31,7 +32,7 @@ class DeformationSpace:
     """Displacements of a field's surface, linear in (d_theta, c).
 
     Args:
-        field: Whose parameters span the normal part.
+        field: Field whose parameters span the normal part.
         tangential: Basis of the tangential part; None allows normal motion alone.
         directions: Orthonormal columns (P, K): the normal part is then spanned by d_theta = directions c.
     """
@@ -51,7 +52,7 @@ class DeformationSpace:
         self._width = max(self.size, len(field.theta))
 
     def split(self, x: Float[Tensor, " s"]) -> tuple[Float[Tensor, " p"], Float[Tensor, "d k"] | None]:
-        """The unknowns as d_theta and the tangential coefficients, one row a coordinate."""
+        """Return the unknowns as d_theta and the tangential coefficients, one row a coordinate."""
         d_theta = x[: self.parameters]
         if self.directions is not None:
             d_theta = self.directions @ d_theta
@@ -60,21 +61,21 @@ class DeformationSpace:
         return d_theta, x[self.parameters :].view(self.field.dimension, self.tangential.count)
 
     def reduced(self, rows: Float[Tensor, "*n p"]) -> Float[Tensor, "*n k"]:
-        """Rows over the parameters as rows over the unknowns of the normal part."""
+        """Return rows over the parameters as rows over the unknowns of the normal part."""
         return rows if self.directions is None else rows @ self.directions
 
     def displacement(self, points: Float[Tensor, "n d"], x: Float[Tensor, " s"]) -> Float[Tensor, "n d"]:
-        """D at surface points, a length."""
+        """Return D at surface points, a length."""
         d_theta, c = self.split(x)
         n = self.field.normal(points)
         moved = n * normal_displacement(self.field, points, d_theta)[:, None]
         if c is not None and self.tangential is not None:
-            slide = self.tangential.values(points) @ c.T
-            moved = moved + slide - n * (n * slide).sum(dim=1, keepdim=True)
+            T = self.tangential.values(points) @ c.T
+            moved = moved + T - normal_component(T, n)
         return moved
 
     def normal_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k p"]]]:
-        """n . D as rows over the unknowns of the normal part, in blocks of points."""
+        """Yield n . D as rows over the unknowns of the normal part, in blocks of points."""
         start = 0
         for part in row_blocks(points, self._width):
             length = self.field.gradient_length(self.field.gradient(part))
@@ -83,7 +84,7 @@ class DeformationSpace:
             start += len(part)
 
     def value_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k p"]]]:
-        """The change of f itself, at points anywhere, as rows over the unknowns of the normal part, in blocks."""
+        """Yield the change of f itself, at points anywhere, as rows over the unknowns of the normal part, in blocks."""
         start = 0
         for part in row_blocks(points, self._width):
             yield slice(start, start + len(part)), self.reduced(parameter_gradient(self.field, part))
@@ -92,7 +93,7 @@ class DeformationSpace:
     def normal_slope_rows(
         self, points: Float[Tensor, "n d"]
     ) -> Iterator[tuple[slice, Float[Tensor, "k t d"], Float[Tensor, "k t p"]]]:
-        """Tangent axes (one in the plane, two in space), and the slopes of n . D along them as rows, as normal_rows."""
+        """Yield tangent axes (one in the plane, two in space), and the slopes of n . D along them as rows."""
         start = 0
         for part in row_blocks(points, 2 * self.field.dimension * self._width):
             frame = Frame.at(self.field, part)
@@ -103,7 +104,7 @@ class DeformationSpace:
     def tangent_rows(
         self, points: Float[Tensor, "n d"]
     ) -> Iterator[tuple[slice, Float[Tensor, "k t d"], Float[Tensor, "k t c"]]]:
-        """Tangent axes, and D along them as rows over the tangential coefficients (none without a tangential part)."""
+        """Yield tangent axes, and D along them as rows over the tangential coefficients, if there are any."""
         start = 0
         for part in row_blocks(points, self.field.dimension * self.size):
             axes = axes_of(self.field.normal(part))[:, :-1]
@@ -116,7 +117,7 @@ class DeformationSpace:
     def strain_rows(
         self, points: Float[Tensor, "n d"], shares: Mapping[tuple[int, int], float]
     ) -> Iterator[tuple[slice, Float[Tensor, "r k s"], Float[Tensor, "q k t"]]]:
-        """Weighted entries (a, b) of J + J^T in the surface's own axes (tangents first, normal last), turned.
+        """Yield weighted entries (a, b) of J + J^T in the surface's own axes (tangents first, normal last), turned.
 
         The parameters move a point's strain only through the speed u and its slope in space, the tangential functions
         through their values and slopes. So a rotation among a point's entries, which changes no sum of squares, leaves
@@ -135,51 +136,43 @@ class DeformationSpace:
         roots = torch.tensor([shares[entry] ** 0.5 for entry in entries], dtype=torch.float64).to(self.field.theta)
         # A slope of the speed shows only in the entry of its axis with the normal.
         used = [0, *(1 + a for a in range(last + 1) if (a, last) in shares)]
+        touched = min(len(entries), len(used))
         for part in row_blocks(points, (len(entries) + 4) * self._width):
             frame = Frame.at(self.field, part)
-            axes, n = frame.axes, frame.normals
-            shape = axes @ frame.normal_slopes @ axes.transpose(1, 2)
-            # Entries from (u, du), and from the values and slopes (along the axes) of a function times coordinate i:
-            of_speed = n.new_zeros(len(part), len(entries), last + 2)
-            of_slide = n.new_zeros(len(part), len(entries), last + 1, last + 2)
-            # s = -n . T has the slope -(dn/dx)^T T - (dT/dx)^T n.
-            swing = axes @ frame.normal_slopes.transpose(1, 2)
-            for e, (a, b) in enumerate(entries):
-                bend = shape[:, a, b] + shape[:, b, a]
-                of_speed[:, e, 0] = bend
-                of_slide[:, e, :, 0] = -bend[:, None] * n
-                for here, there in ((a, b), (b, a)):
-                    of_slide[:, e, :, 1 + there] += axes[:, here]
-                    if here == last:
-                        of_speed[:, e, 1 + there] += 1
-                        of_slide[:, e, :, 0] -= swing[:, there]
-                        # dT_here/dx_there, less what the normal part takes back of it
-                        of_slide[:, e, :, 1 + there] -= n
-            turn, of_speed = torch.linalg.qr(roots[:, None] * of_speed[:, :, used], mode="complete")
-            of_slide = torch.einsum("nfe,nfij->neij", turn * roots[:, None], of_slide)
-            touched = min(len(entries), len(used))
-            # Small factors first: the rows of the parameters are the one large product.
-            from_field = frame.quotient_rule.clone()
-            from_field[:, 1:] = axes @ from_field[:, 1:]
-            from_field = of_speed[:, :touched] @ from_field[:, used]
+            form = strain(frame).entries(entries)
+            turn, speed = torch.linalg.qr(roots[:, None] * form.speed_coefficients[:, :, used], mode="complete")
+            tangential = torch.einsum("nfe,nfij->neij", turn * roots[:, None], form.tangential_coefficients)
             rows = torch.empty(touched, len(part), self.size, dtype=part.dtype, device=part.device)
-            own = self.reduced(from_field @ parameter_gradient_and_slope(self.field, part))
-            rows[:, :, : self.parameters] = own.transpose(0, 1)
+            rows[:, :, : self.parameters] = self._speed_rows(frame, speed[:, :touched], used).transpose(0, 1)
             rest = rows.new_zeros(len(entries) - touched, len(part), self.size - self.parameters)
             if self.tangential is not None:
                 phi, dphi = self.tangential.values(part), self.tangential.slopes(part)
-                functions = torch.cat([phi[:, None], axes @ dphi], dim=1)
-                slides = torch.einsum("neij,njk->enik", of_slide, functions).flatten(2)
-                rows[:, :, self.parameters :] = slides[:touched]
-                rest = slides[touched:]
+                functions = torch.cat([phi[:, None], frame.axes @ dphi], dim=1)
+                turned = torch.einsum("neij,njk->enik", tangential, functions).flatten(2)
+                rows[:, :, self.parameters :] = turned[:touched]
+                rest = turned[touched:]
             yield slice(start, start + len(part)), rows, rest
             start += len(part)
+
+    def _speed_rows(
+        self, frame: Frame, coefficients: Float[Tensor, "n r j"], used: list[int]
+    ) -> Float[Tensor, "n r k"]:
+        """Return coefficients . (u, du along the axes)[used] as rows over the unknowns of the normal part."""
+        from_field = frame.quotient_rule.clone()
+        from_field[:, 1:] = frame.axes @ from_field[:, 1:]
+        # Small factors first: the rows of the parameters are the one large product.
+        from_field = coefficients @ from_field[:, used]
+        return self.reduced(from_field @ parameter_gradient_and_slope(self.field, frame.points))
+
+    def __repr__(self) -> str:
+        tangential = 0 if self.tangential is None else self.size - self.parameters
+        return f"DeformationSpace({self.parameters} unknowns of the normal part, {tangential} of the tangential part)"
 
 
 def spanned(
     field: Field, on: Float[Tensor, "n d"], off: Float[Tensor, "m d"], count: int
 ) -> Float[Tensor, "p k"] | None:
-    """An orthonormal basis of the parameter changes that the sensitivities of so many points span; None for all.
+    """Return an orthonormal basis of the parameter changes that so many points' sensitivities span; None for all.
 
     Args:
         on, off: Points on the surface and off it, each in an order whose every part is spread evenly. A quarter of

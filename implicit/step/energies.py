@@ -1,4 +1,4 @@
-"""What a step minimises: each energy gives rows of the least squares over the unknowns of a deformation space.
+"""Energies that a step minimises: each gives rows of the least squares over the unknowns of a deformation space.
 
     E_C = int w (n . D - target)^2          reach a prescribed normal displacement       [paper, eq. 4, 5]
     int w (df / scale - target)^2           change the field itself, on the surface or off it
@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from typing import Protocol
 
 import torch
@@ -22,7 +21,7 @@ from torch import Tensor
 
 from implicit.field.field import Field
 from implicit.sensitivity.boundary_sensitivity import adjoint, normal_displacement
-from implicit.sensitivity.closed_form import is_plain, plain_gram
+from implicit.sensitivity.closed_form import factors, fits
 from implicit.step.deformation import DeformationSpace
 from implicit.step.least_squares import Operator, Rows
 
@@ -31,7 +30,7 @@ class Energy(Protocol):
     """A quadratic energy of the displacement."""
 
     def rows(self, space: DeformationSpace) -> Iterator[Rows]:
-        """Its weighted equations over the unknowns of the space, in blocks."""
+        """Yield its weighted equations over the unknowns of the space, in blocks."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +46,12 @@ class NormalTarget:
             yield Rows(matrix, self.target[where], self.weights[where])
 
     def of_field(self, field: Field) -> FieldTarget:
-        """The same as changes of the field: a surface point moves outward by -df / |df/dx|."""
+        """Return the same as changes of the field: a surface point moves outward by -df / |df/dx|."""
         lengths = field.gradient_length(field.gradient(self.points))
         return FieldTarget(self.points, self.target, self.weights, -lengths)
+
+    def __repr__(self) -> str:
+        return _shown(self, f"largest target {_largest(self.target):.3g}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +60,8 @@ class FieldTarget:
 
     Args:
         points: Anywhere in the bounds, (N, D).
-        target: Wanted change of f over the scale, a length if the scale is that of |df/dx|.
-        weights: Of the points.
+        target: Change of f over the scale, a length if the scale is that of |df/dx|.
+        weights: Quadrature weights of the points.
         scale: Units of f to a length (N,).
         tied: Points of the surface (N, D) whose outward motion u is added to the change; None adds nothing.
     """
@@ -78,8 +80,10 @@ class FieldTarget:
             yield Rows(rows, self.target[where], self.weights[where])
 
     def operator(self, space: DeformationSpace) -> Operator:
-        """The same equations by their products, for networks whose rows do not fit in memory."""
+        """Return the same equations by their products, for networks whose rows do not fit in memory."""
         field, p = space.field, space.parameters
+        if fits(field, len(self.points) * (1 if self.tied is None else 2)):
+            return self._factored(space)
 
         def forward(x: Tensor) -> Tensor:
             change = normal_displacement(field, self.points, x[:p], -self.scale)
@@ -91,14 +95,29 @@ class FieldTarget:
                 theta = theta + adjoint(field, self.tied, weights)
             return torch.cat([theta, theta.new_zeros(space.size - p)])
 
-        gram = (
-            partial(plain_gram, field, self.points, 1 / self.scale) if self.tied is None and is_plain(field) else None
-        )
-        return Operator(forward, back, self.target, self.weights, gram)
+        return Operator(forward, back, self.target, self.weights)
+
+    def _factored(self, space: DeformationSpace) -> Operator:
+        """Return `operator`'s answer for a field whose rows are known by their factors."""
+        field, p = space.field, space.parameters
+        rows = factors(field, self.points).scaled(1 / self.scale)
+        if self.tied is not None:
+            lengths = field.gradient_length(field.gradient(self.tied))
+            rows = rows.plus(factors(field, self.tied).scaled(-1 / lengths))
+
+        def back(weights: Tensor) -> Tensor:
+            theta = rows.transposed_times(weights)
+            return torch.cat([theta, theta.new_zeros(space.size - p)])
+
+        return Operator(lambda x: rows.times(x[:p]), back, self.target, self.weights, rows.gram)
+
+    def __repr__(self) -> str:
+        tied = "" if self.tied is None else ", tied to the surface"
+        return _shown(self, f"largest target {_largest(self.target):.3g}{tied}")
 
 
 def united(field: Field, energies: Iterable[NormalTarget | FieldTarget]) -> list[FieldTarget]:
-    """The same targets in as few as can be: those that are tied to nothing become one, whose Gram matrix is known."""
+    """Return the same targets in as few as can be: the untied ones become one, whose Gram matrix is known."""
     targets = [energy.of_field(field) if isinstance(energy, NormalTarget) else energy for energy in energies]
     free = [target for target in targets if target.tied is None]
     tied = [target for target in targets if target.tied is not None]
@@ -126,6 +145,9 @@ class VectorTarget:
             weights = self.weights[where].repeat_interleave(along.shape[1])
             yield Rows(matrix.flatten(0, 1), along.flatten(), weights, space.parameters)
 
+    def __repr__(self) -> str:
+        return _shown(self, f"largest target {_largest(self.target.norm(dim=1)):.3g}")
+
 
 @dataclass(frozen=True, eq=False)
 class Smoothness:
@@ -135,7 +157,7 @@ class Smoothness:
 
     Args:
         points, weights: Quadrature of the surface.
-        target: Wanted slope of the motion, a tangent vector at each point; None is zero.
+        target: Slope that the motion is to have, a tangent vector at each point; None is zero.
     """
 
     points: Float[Tensor, "n d"]
@@ -144,11 +166,14 @@ class Smoothness:
 
     def rows(self, space: DeformationSpace) -> Iterator[Rows]:
         for where, axes, slopes in space.normal_slope_rows(self.points):
-            wanted = slopes.new_zeros(slopes.shape[:2])
+            target = slopes.new_zeros(slopes.shape[:2])
             if self.target is not None:
-                wanted = torch.einsum("nai,ni->na", axes, self.target[where])
+                target = torch.einsum("nai,ni->na", axes, self.target[where])
             for a in range(slopes.shape[1]):
-                yield Rows(slopes[:, a], wanted[:, a], self.weights[where])
+                yield Rows(slopes[:, a], target[:, a], self.weights[where])
+
+    def __repr__(self) -> str:
+        return _shown(self, "towards zero slope" if self.target is None else "towards given slopes")
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,14 +209,17 @@ class Killing:
                 yield Rows(rows.flatten(0, 1), torch.zeros_like(weights), weights, first)
 
     def share(self, a: int, b: int, normal: int) -> float:
-        """Weight of the entry (a, b), a <= b, of J + J^T in the surface's axes, of which `normal` is the last."""
+        """Return the weight of the entry (a, b), a <= b, of J + J^T in the surface's axes; `normal` is the last."""
         if b < normal:
             return self.stretch
         return self.bending if a < normal else self.thickness
 
+    def __repr__(self) -> str:
+        return _shown(self, f"bending={self.bending:g}, thickness={self.thickness:g}, stretch={self.stretch:g}")
+
 
 def total_energy(energies: Iterable[Energy], space: DeformationSpace, x: Float[Tensor, " s"]) -> float:
-    """The value of some energies at a displacement, without solving."""
+    """Return the value of some energies at a displacement, without solving."""
     return float(
         sum(
             (rows.weights * (rows.matrix @ x[rows.columns] - rows.target) ** 2).sum()
@@ -199,3 +227,14 @@ def total_energy(energies: Iterable[Energy], space: DeformationSpace, x: Float[T
             for rows in energy.rows(space)
         )
     )
+
+
+def _shown(energy: NormalTarget | FieldTarget | VectorTarget | Smoothness | Killing, words: str) -> str:
+    """Return an energy in one line: its points, their weight and what matters else."""
+    points, weight = energy.points, float(energy.weights.sum())
+    dtype = str(points.dtype).removeprefix("torch.")
+    return f"{type(energy).__name__}({len(points)} points, {dtype}, total weight {weight:.3g}, {words})"
+
+
+def _largest(values: Tensor) -> float:
+    return float(values.abs().max()) if len(values) else 0.0

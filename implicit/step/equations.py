@@ -133,7 +133,7 @@ class KeptEquations(Equations):
 
     @property
     def is_tall(self) -> bool:
-        """Whether all have a matrix and they are as many as the unknowns, so that A^T W A is smaller than they."""
+        """True if all have a matrix and they are as many as the unknowns, so that A^T W A is smaller than they."""
         return not self.operators and sum(len(rows.target) for rows in self.rows) >= self.size
 
     def add(self, rows: Rows) -> None:
@@ -205,7 +205,7 @@ class KeptEquations(Equations):
 
     @property
     def _has_gram(self) -> bool:
-        """Whether all there is is one operator that knows its Gram matrix, of not too many equations."""
+        """True if all there is is one operator that knows its Gram matrix, of not too many equations."""
         if len(self.operators) != 1 or self.rows:
             return False
         operator = self.operators[0]

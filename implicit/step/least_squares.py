@@ -48,7 +48,7 @@ Constraints = tuple[Float[Tensor, "m n"], Float[Tensor, " m"]]
 
 
 class SolveStatus(Enum):
-    """How a solve ended; the value is the sentence a user reads."""
+    """Outcome of a solve; the value is the sentence a user reads."""
 
     SOLVED = "The least-squares problem was solved."
     DAMPED = "The system was too near to singular for the damping given; a larger damping was used."

@@ -32,18 +32,18 @@ def off_surface(
     points: int = 500,
     seed: int = 0,
 ) -> FieldTarget:
-    """The energy that lets the field off the surface follow the surface.
+    """Return the energy that lets the field off the surface follow the surface.
 
     Args:
         field: A field in its present state.
         sample: Points on its surface, M of them.
         motion: Their wanted motion along the normal (M,), a length; what lies nearest to a NaN is asked to stay as it
             is. None ties each point to the motion that the step itself gives the surface.
-        strength: Of the energy beside an integral of squared motions over the surface.
+        strength: Weight of the energy beside an integral of squared motions over the surface.
         restore: Share of the field's deviation from a distance that a step is to undo: 0 leaves its profile as it is,
             as a field that is no distance (an occupancy, say) needs.
         points: How many points are drawn in the bounds.
-        seed: Of the draw.
+        seed: Seed of the draw.
     """
     generator = torch.Generator().manual_seed(seed)
     lower, upper = field.bounds
@@ -52,8 +52,8 @@ def off_surface(
     near = NEAR * field.size
     m = points // 2
     j = torch.linspace(0, len(sample) - 1, m, device=field.device).long()
-    hh = (2 * draw[:m, :1] - 1) * near
-    y[:m] = sample.points[j] + hh * sample.normals[j]
+    offset = (2 * draw[:m, :1] - 1) * near
+    y[:m] = sample.points[j] + offset * sample.normals[j]
     scale = float(field.gradient(sample.points).norm(dim=1).mean())
     distance, nearest = torch.cdist(y, sample.points).min(dim=1)
     value = field.value(y) / scale

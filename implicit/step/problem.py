@@ -4,74 +4,110 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from implicit.field.field import Field
-from implicit.sensitivity.closed_form import is_plain
+from implicit.sensitivity.closed_form import has_closed_form
 from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import Energy, FieldTarget, NormalTarget, united
 from implicit.step.least_squares import DENSE_LIMIT, LeastSquares
 from implicit.surface.projection import newton_to_surface
-from implicit.surface.quadrature import MeshedSample, SurfaceSample
 
 Row = dict[str, Any]
 
 
-@dataclass(frozen=True, eq=False)
-class State:
-    """Where an edit stands at the start of a step."""
+@dataclass(frozen=True)
+class DampingRule:
+    """Rule by which the damping of a step is found.
 
-    field: Field
-    step: int
-    points: Float[Tensor, "i d"]  # the starting points, carried along
-    sample: SurfaceSample | None  # the quadrature of the current surface, where it is measured
+    Attributes:
+        fixed: Penalty on the squares of the unknowns; None adapts it to the linearisation error.
+        first: Where that begins, relative to the trace of the normal matrix.
+        least: What it may fall to in later steps, in the same unit.
+        allowed_error: Part of the motion by which the surface may miss its prediction.
+    """
+
+    fixed: float | None = None
+    first: float = 1e-7
+    least: float = 0.0
+    allowed_error: float = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """Points brought from where they were predicted onto a moved surface.
+
+    Attributes:
+        points: Where they ended (N, D).
+        arrived: Which reached the surface (N,) bool.
+        space: The moved field's deformation space, where the projection has linearised the field there anyway.
+    """
+
+    points: Float[Tensor, "n d"]
+    arrived: Tensor
+    space: DeformationSpace | None = None
+
+
+Project = Callable[[Field, Tensor, float], Projection]
+
+
+def newton_projection(field: Field, points: Float[Tensor, "n d"], reach: float) -> Projection:
+    """Return points projected by Newton's method, none farther than the reach, a length."""
+    return Projection(*newton_to_surface(field, points, reach=reach))
 
 
 @dataclass(frozen=True, eq=False)
 class StepProblem:
-    """What one step minimises, over which displacements."""
+    """The energies that one step minimises, and the displacements it chooses from.
+
+    Attributes:
+        space: The displacements to choose from.
+        energies: What is minimised, their sum.
+        damping: How the penalty on the unknowns is found.
+        tangential_motion: Motion along the surface beside the space's own, a tangent vector each (K, D) of the first K
+            tracked points, a length; None is no such motion.
+        correction_weights: Weights of the starting points (I,) by which normal motions bring the surface to where the
+            linear model sends it, see implicit.evolve.trial.normal_correction; None leaves it where the step does.
+        probe: Points (N, D) whose motion decides whether the step is trusted; None takes the tracked points.
+        project: Brings the tracked points, where they were predicted, onto the moved surface.
+        row: What the operation adds to the record of the step.
+    """
 
     space: DeformationSpace
     energies: Sequence[Energy]
-    damping: float | None = None  # fixed; None lets the loop choose it by the linearity error
-    first_damping: float = 1e-7  # where that choice begins, relative to the trace of the normal matrix
-    least_damping: float = 0.0  # how far it may fall in later steps, in the same unit
-    allowed_miss: float = 0.02  # nonlinear part of the motion that is accepted, relative to the motion
-    # Weights of the starting points by which the surface is brought to where the linear model sends them, see _settled.
-    settle: Float[Tensor, " i"] | None = None
-    probe: Tensor | None = None  # points whose motion decides whether the step is trusted; None: the carried ones
-    # Motion along the surface that the normal motion leaves open, of the carried points (all, tracked ones last).
-    slide: Callable[[Tensor, Tensor], Tensor] | None = None
-    # Brings the carried points, where they were predicted, onto the moved surface; takes and returns what Newton does.
-    place: Callable[..., tuple[Tensor, Tensor]] = newton_to_surface
-    row: Row | None = None  # what the operation adds to the record of the step
-    # The same, of the surface after the step, given what is held and the part of the step that was taken.
-    record: Callable[[Field, MeshedSample, Row, float], Row] | None = None
+    damping: DampingRule = DampingRule()
+    tangential_motion: Float[Tensor, "k d"] | None = None
+    correction_weights: Float[Tensor, " i"] | None = None
+    probe: Float[Tensor, "n d"] | None = None
+    project: Project = newton_projection
+    row: Row | None = None
+
+    def __post_init__(self) -> None:
+        if self.probe is not None and (self.correction_weights is not None or self.tangential_motion is not None):
+            raise ValueError("correction_weights and tangential_motion are of tracked points, so they take no probe.")
 
 
-class Operation(Protocol):
-    """What a user asked for, as the loop sees it."""
-
-    def step(self, state: State) -> StepProblem:
-        """The problem of this step."""
-
-    def finished(self, state: State, history: Sequence[Row]) -> bool:
-        """Whether to stop before this step."""
-
-
-def predicted_way(problem: StepProblem, x: Tensor, points: Tensor) -> Tensor:
-    """Predicted motion of points."""
-    way = problem.space.displacement(points, x)
-    if problem.slide is not None:
-        way = way + problem.slide(points, problem.space.field.normal(points))
-    return way
+def predicted_displacement(
+    problem: StepProblem, x: Float[Tensor, " s"], points: Float[Tensor, "n d"]
+) -> Float[Tensor, "n d"]:
+    """Return the motion that the unknowns x give the tracked points, or others of the surface, to first order."""
+    displacement = problem.space.displacement(points, x)
+    along = problem.tangential_motion
+    if along is None:
+        return displacement
+    return torch.cat([displacement[: len(along)] + along, displacement[len(along) :]])
 
 
 def assemble(problem: StepProblem) -> LeastSquares:
-    """The step's least squares: its rows, or their products where these cost less or the rows would not fit."""
+    """Return the step's least squares: its rows, or their products where these cost less or the rows would not fit.
+
+    Raises:
+        ValueError: There are too many unknowns for rows, and an energy that has no products.
+    """
     space, energies = problem.space, problem.energies
     if space.size <= DENSE_LIMIT and not _is_cheaper_by_products(problem):
         system = LeastSquares(space.size, space.field.theta)
@@ -96,12 +132,12 @@ def assemble(problem: StepProblem) -> LeastSquares:
 
 
 def _is_cheaper_by_products(problem: StepProblem) -> bool:
-    """Whether all are targets of a plain network's field, at fewer points than unknowns and tied to nothing.
+    """Return whether all are targets of a field with a closed form, at fewer points than unknowns and tied to nothing.
 
     The products of their rows with each other then come from those of the layers (implicit.sensitivity.closed_form).
     """
     space, count = problem.space, 0
-    if space.directions is not None or not is_plain(space.field):
+    if space.directions is not None or not has_closed_form(space.field):
         return False
     for energy in problem.energies:
         if not isinstance(energy, NormalTarget) and not (isinstance(energy, FieldTarget) and energy.tied is None):

@@ -21,13 +21,13 @@ class TangentialModel(Protocol):
 
     @property
     def count(self) -> int:
-        """K, the number of scalar functions."""
+        """Number K of scalar functions."""
 
     def values(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n k"]:
-        """phi at the points."""
+        """Return phi at the points, as many columns as functions."""
 
     def slopes(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n d k"]:
-        """dphi/dx at the points."""
+        """Return dphi/dx at the points."""
 
 
 class CosineFeatures:
@@ -37,10 +37,10 @@ class CosineFeatures:
     approximate a Gaussian process with length scale 1 / frequency (Rahimi & Recht, NeurIPS 2007).
 
     Args:
-        field: Gives dimension, dtype, device and the length scale: x is measured in halves of the field's size.
-        waves: How many cosines.
+        field: Field whose dimension, dtype and device they have; x is measured in halves of the field's size.
+        waves: Number of cosines.
         frequency: Standard deviation of the wave vectors; 8 suits shapes that fill the bounds.
-        seed: Of the random waves.
+        seed: Seed of the random waves.
     """
 
     def __init__(self, field: Field, *, waves: int = 600, frequency: float = 8.0, seed: int = 0) -> None:
@@ -66,3 +66,8 @@ class CosineFeatures:
         n, dimension = points.shape
         straight = torch.eye(dimension, dtype=points.dtype, device=points.device).expand(n, -1, -1)
         return torch.cat([straight.new_zeros(n, dimension, 1), straight, waves], dim=2) / self._half
+
+    def __repr__(self) -> str:
+        d, waves = self._directions.shape
+        dtype = str(self._directions.dtype).removeprefix("torch.")
+        return f"CosineFeatures({waves} waves in {d} dimensions, {self.count} functions, {dtype})"

@@ -1,4 +1,4 @@
-"""How many pieces a surface has, and its Euler number: what an edit must not change unnoticed.
+"""Number of pieces of a surface, and its Euler number: what an edit must not change unnoticed.
 
     chi = vertices - edges + faces        2 for each sphere, less 2 for each handle; 0 for closed curves
 
@@ -20,7 +20,7 @@ from implicit.surface.extraction import Faces, Vertices, extract_mesh
 
 @dataclass(frozen=True)
 class Topology:
-    """The pieces of a surface.
+    """Pieces of a surface.
 
     Attributes:
         components: How many there are.
@@ -36,9 +36,13 @@ class Topology:
         largest = ", ".join(f"{area:.4g}" for area in self.areas[:3]) + (", ..." if len(self.areas) > 3 else "")
         return f"Topology: {counted(self.components, 'component')}, Euler number {self.euler}, areas {largest}"
 
+    def same_type(self, other: Topology) -> bool:
+        """Return whether both have as many pieces and the same Euler number."""
+        return (self.components, self.euler) == (other.components, other.euler)
+
 
 def surface_topology(field: Field, resolution: int = 48) -> Topology:
-    """The pieces of a field's surface.
+    """Return the pieces of a field's surface.
 
     Args:
         resolution: Cells along the longest side of the bounds; pieces smaller than a cell go unseen.
@@ -49,28 +53,36 @@ def surface_topology(field: Field, resolution: int = 48) -> Topology:
     return mesh_topology(*extract_mesh(field, resolution))
 
 
-def settled_topology(
+def confirmed_topology(
     field: Field, mesh: tuple[Vertices, Faces], resolution: int, before: Topology | None = None
 ) -> Topology:
-    """The pieces of a mesh of a field's surface; where they differ from those before, the word of finer meshes.
+    """Return the pieces of a mesh of a field's surface; where they differ from those before, those of finer meshes.
 
-    The edge of a sheet thinner than a cell shows as crumbs that come and go with the lattice: a bunny's ear, 0.01 thick
-    at its tip, has one or two at 48 and 96 cells and none at 192.
+    The edge of a sheet thinner than a cell shows as spurious components that come and go with the lattice: a bunny's
+    ear, 0.01 thick at its tip, has one or two at 48 and 96 cells and none at 192.
 
     Args:
         mesh: Vertices and faces at the resolution.
-        before: What the surface is likely to be; None takes the mesh at its word.
+        resolution: Cells along the longest side of the bounds.
+        before: What the surface is likely to be; None believes the mesh.
+
+    Raises:
+        SurfaceError: There is no surface in the bounds, or it leaves them.
     """
     found = mesh_topology(*mesh)
     for finer in (2 * resolution, 4 * resolution):
-        if before is None or (found.components, found.euler) == (before.components, before.euler):
+        if before is None or found.same_type(before):
             break
         found = surface_topology(field, finer)
     return found
 
 
 def mesh_topology(V: Vertices, F: Faces) -> Topology:
-    """The pieces of a closed mesh: triangles (m, 3), or segments (m, 2) in the plane."""
+    """Return the pieces of a closed mesh: triangles (m, 3), or segments (m, 2) in the plane.
+
+    Raises:
+        ValueError: V or F have another shape or type, or F names rows that V does not have.
+    """
     V, F = np.asarray(V), np.asarray(F)
     if V.ndim != 2 or V.dtype.kind not in "fiu":
         raise ValueError(f"V must be an array of points (n, D), but has shape {V.shape} and type {V.dtype}.")
@@ -89,7 +101,7 @@ def mesh_topology(V: Vertices, F: Faces) -> Topology:
 
 
 def _contents(V: Vertices, F: Faces) -> Vertices:
-    """Area of each triangle, or length of each segment."""
+    """Return the area of each triangle, or length of each segment."""
     sides = V[F[:, 1:]] - V[F[:, :1]]
     if F.shape[1] == 2:
         return np.asarray(np.linalg.norm(sides[:, 0], axis=1))

@@ -1,5 +1,6 @@
 """One small run that the tests of this folder look at: an analytic shape, each operation, few points."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 import implicit
 import implicit.shapes
 from compare import Case, Record, default_cases, prepare_subject, report, run_cases
+from compare.commands.cli import main
 
 SMALL = {"vertices": 500, "resolution": 32}
 
@@ -19,6 +21,31 @@ class SmallRun:
     folder: Path
     cases: list[Case]
     records: list[Record]
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended and what it printed, named as subprocess does."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Ended]:
+    """A function that runs the command line in this process: its words, and cwd=, the folder it runs in."""
+
+    def run(*arguments: object, cwd: Path) -> Ended:
+        monkeypatch.chdir(cwd)
+        monkeypatch.setenv("COLUMNS", "100")
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            main([str(word) for word in arguments])
+        printed = capsys.readouterr()
+        return Ended(ended.value.code, printed.out, printed.err)
+
+    return run
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""What every form of the inverse of a damped normal matrix H = A^T W A + D can do."""
+"""The calls that every form of the inverse of a damped normal matrix H = A^T W A + D answers."""
 
 from __future__ import annotations
 

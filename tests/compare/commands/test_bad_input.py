@@ -3,28 +3,12 @@
 Input that can be mended goes on, and what was mended is said first.
 """
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import meshref
-
-
-def command(*arguments, cwd):
-    """Run the command line as a user does, without a terminal."""
-    return subprocess.run(
-        [sys.executable, "-m", "compare", *map(str, arguments)],
-        cwd=cwd,
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        env={**os.environ, "COLUMNS": "100"},
-    )
 
 
 def files_under(folder):
@@ -96,7 +80,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("case", BROKEN, ids=list(BROKEN))
-def test_a_broken_file_is_refused(case, tmp_path):
+def test_a_broken_file_is_refused(command, case, tmp_path):
     name, write, message = BROKEN[case]
     write(tmp_path / name)
     before = files_under(tmp_path)
@@ -115,12 +99,12 @@ def test_a_broken_file_is_refused(case, tmp_path):
         (["spot", "gone.obj"], "There is no file gone.obj"),
     ],
 )
-def test_a_shape_that_is_not_there_is_refused(arguments, message, tmp_path):
+def test_a_shape_that_is_not_there_is_refused(command, arguments, message, tmp_path):
     assert message in refused(command("run", *arguments, "-o", "out", cwd=tmp_path))
     assert files_under(tmp_path) == {}
 
 
-def test_an_output_folder_that_holds_a_run_is_refused(tmp_path):
+def test_an_output_folder_that_holds_a_run_is_refused(command, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "results.jsonl").write_text('{"precious": 1}\n')
     before = files_under(tmp_path)
@@ -128,7 +112,7 @@ def test_an_output_folder_that_holds_a_run_is_refused(tmp_path):
     assert files_under(tmp_path) == before
 
 
-def test_an_output_that_is_a_file_or_a_folder_of_other_things_is_refused(tmp_path):
+def test_an_output_that_is_a_file_or_a_folder_of_other_things_is_refused(command, tmp_path):
     (tmp_path / "file").write_text("precious")
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "letter.txt").write_text("precious")
@@ -150,7 +134,7 @@ def test_an_output_that_is_a_file_or_a_folder_of_other_things_is_refused(tmp_pat
         (["figures", "gone"], "There is no"),
     ],
 )
-def test_other_commands_refuse_as_clearly(arguments, message, tmp_path):
+def test_other_commands_refuse_as_clearly(command, arguments, message, tmp_path):
     write_off(tmp_path / "ball.off", *sphere())
     (tmp_path / "old.safetensors").write_text("precious")
     (tmp_path / "field.txt").write_text("words")
@@ -159,7 +143,7 @@ def test_other_commands_refuse_as_clearly(arguments, message, tmp_path):
     assert files_under(tmp_path) == before
 
 
-def test_an_unknown_option_is_refused_with_code_2(tmp_path):
+def test_an_unknown_option_is_refused_with_code_2(command, tmp_path):
     result = command("run", "spot", "--qick", cwd=tmp_path)
     assert result.returncode == 2
     assert "Traceback" not in result.stderr
@@ -202,7 +186,7 @@ def test_what_can_be_mended_is_mended_and_said(case, tmp_path):
     assert np.abs(V).max() <= 1
 
 
-def test_a_mended_mesh_is_fitted_and_the_mending_is_printed(tmp_path):
+def test_a_mended_mesh_is_fitted_and_the_mending_is_printed(command, tmp_path):
     turned_inwards(tmp_path / "ball.off")
     result = command("fit", "ball.off", "-o", "ball.safetensors", "--width", "8", "--steps", "40", cwd=tmp_path)
     assert result.returncode == 0, result.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from pathlib import Path
@@ -117,8 +118,9 @@ def test_a_poor_fit_says_so_in_words():
 
 
 @pytest.mark.usefixtures("coarse")
-def test_a_fit_cut_short_by_time_says_so():
-    _, report = fit_mesh(V, F, steps=100_000, seconds=0.5)
+def test_a_fit_cut_short_by_time_says_so(monkeypatch):
+    monkeypatch.setattr("implicit.fitting.fit.perf_counter", itertools.count().__next__)  # a second a look
+    _, report = fit_mesh(V, F, steps=100_000, seconds=20.0)
     assert not report.good
     assert "time was over" in report.verdict
     assert report.steps < 100_000

@@ -9,7 +9,7 @@ import torch
 from compare import Case, prepare_subject
 from compare.paper import Request, draw_parts
 from compare.paper.rigid_bends import arap_along_the_path, turning_handles
-from compare.runs.operations import wanted_motion
+from compare.runs.operations import target_motion
 from implicit import save_field, shapes
 
 
@@ -41,10 +41,10 @@ def rod(tmp_path_factory):
 def test_one_end_stays_and_the_other_turns_by_the_angle(rod, what, axis):
     shape, subject = rod
     case = Case(shape, "rigid", turning_handles(subject, what, 60.0))
-    wanted = wanted_motion(case, subject)
-    assert not wanted.displacement[wanted.handle == 1].any()
-    before = subject.V[wanted.handle == 2]
-    after = before + wanted.displacement[wanted.handle == 2]
+    target = target_motion(case, subject)
+    assert not target.displacement[target.handle == 1].any()
+    before = subject.V[target.handle == 2]
+    after = before + target.displacement[target.handle == 2]
     rotation = torch.linalg.matrix_exp(_cross(axis, pi / 3)).numpy()
     turned = (before - before.mean(axis=0)) @ rotation.T
     np.testing.assert_allclose(after - after.mean(axis=0), turned, atol=1e-4)
@@ -53,9 +53,9 @@ def test_one_end_stays_and_the_other_turns_by_the_angle(rod, what, axis):
 def test_arap_along_a_path_arrives_where_the_handles_are_sent(rod):
     shape, subject = rod
     case = Case(shape, "rigid", turning_handles(subject, "twist", 90.0))
-    wanted = wanted_motion(case, subject)
+    target = target_motion(case, subject)
     moved = arap_along_the_path(subject, case, 3)
-    np.testing.assert_allclose((moved - subject.V)[wanted.at], wanted.displacement[wanted.at], atol=1e-9)
+    np.testing.assert_allclose((moved - subject.V)[target.at], target.displacement[target.at], atol=1e-9)
 
 
 def _cross(axis, angle):

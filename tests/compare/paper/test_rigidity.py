@@ -10,7 +10,7 @@ from compare import Case, prepare_subject
 from compare.cases.case import HandleSpec
 from compare.paper.rigidity import mesh_of, mesh_seconds, pulled_case, rigidity
 from compare.paper.scenes import pulled_less, rigid_scene
-from compare.runs.operations import wanted_motion
+from compare.runs.operations import target_motion
 from compare.runs.subject import Subject
 from implicit import Units, shapes
 
@@ -50,12 +50,12 @@ def test_the_mesh_is_timed_on_as_many_vertices_as_asked_for(cactus):
 
 def test_the_cactus_has_its_foot_held_and_one_arm_moved_across(cactus):
     case = rigid_scene("cactus", cactus)
-    wanted = wanted_motion(case, cactus)
-    foot, arm = (cactus.V[wanted.handle == k] for k in (1, 2))
+    target = target_motion(case, cactus)
+    foot, arm = (cactus.V[target.handle == k] for k in (1, 2))
     assert (foot[:, 1] < -0.6).all()
     assert (arm[:, 0] > 0.3).all()
     size = np.ptp(cactus.V[:, 1])
-    np.testing.assert_allclose(wanted.displacement[wanted.handle == 2], [[0, 0, 0.15 * size]] * len(arm), atol=1e-12)
+    np.testing.assert_allclose(target.displacement[target.handle == 2], [[0, 0, 0.15 * size]] * len(arm), atol=1e-12)
 
 
 def test_the_bunny_has_the_handles_of_the_published_notebook():
@@ -64,15 +64,15 @@ def test_the_bunny_has_the_handles_of_the_published_notebook():
     field = shapes.sphere()
     field.units = Units(0.1, (-0.02, 0.1, 0.0))
     subject = Subject(field, (V - np.array(field.units.offset)) / 0.1, F, np.zeros_like(V))
-    wanted = wanted_motion(rigid_scene("anywhere/bunny.off", subject), subject)
+    target = target_motion(rigid_scene("anywhere/bunny.off", subject), subject)
     ear = np.linalg.norm(V - [-0.02, 0.17, -0.015], axis=1) < 0.03
     base = V[:, 1] < V[:, 1].min() + 0.002
     assert ear.sum() > 10
     assert base.sum() > 1
-    np.testing.assert_array_equal(wanted.handle == 2, ear)
-    np.testing.assert_array_equal(wanted.handle == 1, base)
-    np.testing.assert_allclose(wanted.displacement[ear] * 0.1, [[0.01, 0.0, 0.01]] * ear.sum())
-    assert not wanted.displacement[base].any()
+    np.testing.assert_array_equal(target.handle == 2, ear)
+    np.testing.assert_array_equal(target.handle == 1, base)
+    np.testing.assert_allclose(target.displacement[ear] * 0.1, [[0.01, 0.0, 0.01]] * ear.sum())
+    assert not target.displacement[base].any()
 
 
 def test_only_vectors_can_be_shortened(cactus):

@@ -1,8 +1,6 @@
 """Both painters draw what faces the camera, the near over the far, at the same place; and the pictures hold it."""
 
 import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -169,10 +167,8 @@ def test_a_driver_that_ends_the_process_ends_only_the_trial(monkeypatch):
 
 
 @pytest.mark.usefixtures("dying_pyvista")
-def test_the_command_refuses_a_painter_that_cannot_draw_and_writes_nothing(small_run, tmp_path):
-    arguments = ["figures", str(small_run.folder), "-o", str(tmp_path / "pictures"), "--painter", "pyvista"]
-    result = subprocess.run([sys.executable, "-m", "compare", *arguments], capture_output=True, text=True, check=False)
+def test_the_command_refuses_a_painter_that_cannot_draw_and_writes_nothing(command, small_run, tmp_path):
+    result = command("figures", small_run.folder, "-o", "pictures", "--painter", "pyvista", cwd=tmp_path)
     assert result.returncode == 2
     assert "pyvista cannot draw here" in result.stderr
-    assert "Traceback" not in result.stderr
     assert not (tmp_path / "pictures").exists()

@@ -234,7 +234,7 @@ def test_a_report_of_many_cases_stays_below_ten_megabytes(small_run, tmp_path, m
         arrays[name] = base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()
         return name
 
-    monkeypatch.setattr(sys.modules["compare.report"], "_keep", keep_each)
+    monkeypatch.setattr(sys.modules["compare.reports.report"], "_keep", keep_each)
     many = [dataclasses.replace(r, key=f"{r.key}-{k}") for k in range(34) for r in small_run.records]
     path = report(many, tmp_path / "report.html", folder=small_run.folder)
     assert 7e6 < path.stat().st_size < 10e6

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from multiprocessing import active_children
 from pathlib import Path
 
 import pytest
@@ -81,7 +82,7 @@ def test_two_processes_give_what_one_gives_even_if_one_is_killed(cases, in_proce
 
         def kill_one(_):
             if not killed:
-                killed.append(workers.pids[0])
+                killed.append(active_children()[0].pid)
                 os.kill(killed[0], signal.SIGKILL)
 
         records = run_cases(cases, workers, folder=tmp_path, on_record=kill_one)
@@ -137,8 +138,8 @@ def test_what_a_task_raises_is_raised_here(tmp_path):
     with Workers(1) as workers:
         with pytest.raises(FileNotFoundError):
             workers.submit(Path.read_bytes, tmp_path / "gone").result()
-        (pid,) = workers.pids
-        assert workers.submit(os.getpid).result() == pid, "the process was taken for dead"
+        (child,) = active_children()
+        assert workers.submit(os.getpid).result() == child.pid, "the process was taken for dead"
 
 
 def test_an_interruption_ends_the_processes_at_once():

@@ -9,9 +9,11 @@ import implicit
 import implicit.shapes
 import meshref
 from compare import Case, HandleSpec
-from compare.runs.measure import between, curve, error_field, measure, measure_field, strain
-from compare.runs.operations import Halfway, Outcome, wanted_motion
-from compare.runs.subject import Subject
+from compare.cases.subject import Subject
+from compare.operations.operation import Halfway, Outcome, operation_of
+from compare.operations.rigid import strain
+from compare.runs.measure import between, curve, measure, measure_field
+from compare.runs.operations import target_motion
 
 EVERYWHERE = {"kind": "halfspace", "point": [0.0, 0.0, -9.0], "normal": [0.0, 0.0, 1.0]}
 
@@ -25,15 +27,15 @@ def unit_sphere(scale=1.0):
 
 
 def grow(distance):
-    """The wish that every point move outward by the distance."""
+    """Every point is to move outward by the distance."""
     return Case("spot", "geometric", (HandleSpec(EVERYWHERE, {"kind": "along", "distance": distance}),))
 
 
 def measured(case, subject, displacement, other=None):
-    wanted = wanted_motion(case, subject)
+    target = target_motion(case, subject)
     own = Outcome(displacement, "by hand", "Done.", True, 0.0)
     other = Outcome(np.zeros_like(displacement) if other is None else other, "by hand", "Done.", True, 0.0)
-    return measure(case, subject, wanted, own, error_field(case, subject, wanted, own, other))
+    return measure(case, subject, target, own, operation_of(case.operation).error_field(subject, target, own, other))
 
 
 def test_growing_a_sphere_has_the_energy_volume_and_area_of_the_formula():
@@ -75,9 +77,11 @@ def test_statistics_of_an_error_are_those_over_the_area():
     subject = unit_sphere()
     case, still = Case("spot", "smooth"), np.zeros_like(subject.V)
     own = Outcome(0.1 * subject.V[:, 2:] * subject.V, "by hand", "Done.", True, 0.0)
-    wanted = wanted_motion(case, subject)
-    error = error_field(case, subject, wanted, own, Outcome(still, "by hand", "Done.", True, 0.0))
-    row = measure(case, subject, wanted, own, error)
+    target = target_motion(case, subject)
+    error = operation_of(case.operation).error_field(
+        subject, target, own, Outcome(still, "by hand", "Done.", True, 0.0)
+    )
+    row = measure(case, subject, target, own, error)
     assert row["error_mean"] == pytest.approx(0, abs=1e-12)
     assert row["error_rms"] == pytest.approx(0.1 / 3**0.5, rel=2e-3)
     assert row["error_p95"] == pytest.approx(0.095, rel=0.01)
@@ -156,20 +160,22 @@ def test_the_error_of_smoothing_is_the_difference_along_the_normal():
     subject = unit_sphere()
     case, V = Case("spot", "smooth"), subject.V
     own, other = SimpleNamespace(displacement=0.3 * V), SimpleNamespace(displacement=0.1 * V)
-    np.testing.assert_allclose(error_field(case, subject, wanted_motion(case, subject), own, other), 0.2)
+    np.testing.assert_allclose(
+        operation_of(case.operation).error_field(subject, target_motion(case, subject), own, other), 0.2
+    )
 
 
 def test_overlapping_handles_add_up_in_a_geometric_edit():
     """As the neural editor has it."""
     case = Case("spot", "geometric", (*grow(0.1).handles, *grow(0.02).handles))
-    wanted = wanted_motion(case, unit_sphere())
-    assert wanted.largest == pytest.approx(0.12)
+    target = target_motion(case, unit_sphere())
+    assert target.largest == pytest.approx(0.12)
 
 
 def test_a_handle_off_the_shape_is_refused():
     far = HandleSpec({"kind": "ball", "center": [5.0, 0.0, 0.0], "radius": 0.1}, {"kind": "along", "distance": 0.1})
     with pytest.raises(ValueError, match=r"Handle 1 of the case .* holds no vertex"):
-        wanted_motion(Case("spot", "geometric", (far,)), unit_sphere())
+        target_motion(Case("spot", "geometric", (far,)), unit_sphere())
 
 
 def test_the_volume_of_the_field_itself_is_that_of_the_formula():

@@ -22,8 +22,7 @@ from implicit import (
     shapes,
     surface_quadrature,
 )
-from implicit.evolve.edit import EditStatus
-from implicit.evolve.evidence import with_evidence
+from implicit.evolve.edit import EditStatus, with_evidence
 from tests.implicit.conftest import Occupancy
 
 EVERYWHERE = Ball((0, 0, 0), 10.0)

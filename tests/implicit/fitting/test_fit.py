@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -149,11 +150,11 @@ def test_progress_is_told_up_to_a_hundred_times():
     assert all(math.isfinite(loss) for _, _, loss in calls)
 
 
-def test_a_fit_that_runs_out_of_time_says_so():
-    field, training = fit_field(*samples(TORUS, 2000), steps=100_000, seconds=0.5)
+def test_a_fit_that_runs_out_of_time_says_so(monkeypatch):
+    monkeypatch.setattr("implicit.fitting.fit.perf_counter", itertools.count().__next__)  # a second a look
+    field, training = fit_field(*samples(TORUS, 2000), steps=100_000, seconds=20.0)
     assert training.status is FitStatus.OUT_OF_TIME
-    assert 0 < training.steps < 100_000
-    assert training.seconds < 5
+    assert 0 < training.steps <= 20
     assert torch.isfinite(field.theta).all()
 
 
@@ -190,10 +191,6 @@ POINTS, DISTANCES, NORMALS = samples(TORUS, 1000)
         ((POINTS, DISTANCES.abs() + 0.1, NORMALS), {}, r"both sides of the surface, but all distances are >= 0"),
         ((POINTS, DISTANCES + DISTANCES.sign(), NORMALS), {}, r"Some samples must lie within the band of 0.02"),
         ((POINTS, DISTANCES, NORMALS), {"bounds": ((-1, -1), (1, 1))}, r"corner in 3 dimensions like the points"),
-        ((POINTS, DISTANCES, NORMALS), {"steps": 0}, r"steps must be at least 1"),
-        ((POINTS, DISTANCES, NORMALS), {"seconds": -1.0}, r"seconds must be a positive"),
-        ((POINTS, DISTANCES, NORMALS), {"method": "sgd"}, r"method must be one of soap, adam"),
-        ((POINTS, DISTANCES, NORMALS), {"activation": "tanh"}, r"activation must be one of sine, softplus, relu"),
     ],
 )
 def test_unusable_input_is_refused_with_the_reason(data, options, message):

@@ -1,0 +1,114 @@
+"""Handles as plain data: a part of the surface and how it is to move, in the field's own coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy import ndarray
+
+if TYPE_CHECKING:  # torch takes seconds to import, and handles are read where nothing is computed
+    from implicit import Handle
+
+# What each kind of region and motion takes: its numbers, by the argument names of the classes in `implicit`.
+REGIONS = {
+    "ball": ("center", "radius", "falloff"),
+    "box": ("lower", "upper", "falloff"),
+    "halfspace": ("point", "normal", "falloff"),
+}
+MOTIONS = {
+    "vector": ("vector",),
+    "along": ("distance",),
+    "rigid": ("rotation", "translation", "center"),
+}
+
+OPTIONAL = {"falloff", "rotation", "translation"}
+SCALARS = {"radius", "falloff", "distance"}  # the others are points or vectors
+POSITIVE = {"radius": 0.0, "falloff": 0.0}
+
+
+@dataclass(frozen=True, repr=False)
+class HandleSpec:
+    """A part of the surface and how it is to move, in the field's coordinates.
+
+    Args:
+        region: {"kind": "ball", "center": [x, y, z], "radius": r}, or "box" with lower and upper, or "halfspace" with
+            point and normal (the side that the normal points to); each may have "falloff", a width over which the
+            weight sinks smoothly from 1 to 0. The displacement of a geometric edit sinks with it.
+        motion: {"kind": "vector", "vector": [x, y, z]}; "along" with distance, outward along the normal; or "rigid"
+            with rotation (a vector: axis times angle in radians), translation and center.
+    """
+
+    region: Mapping[str, Any]
+    motion: Mapping[str, Any]
+
+    def __post_init__(self) -> None:
+        _require_numbers("region", self.region, REGIONS)
+        _require_numbers("motion", self.motion, MOTIONS)
+
+    def __repr__(self) -> str:
+        """Return the kinds and numbers in one line."""
+        return f"HandleSpec({_words(self.region)}; {_words(self.motion)})"
+
+    @property
+    def holds(self) -> bool:
+        """Return whether it is an anchor: a part that is to stay where it is."""
+        return self.motion["kind"] == "vector" and not np.any(self.motion["vector"])
+
+    def build(self) -> Handle:
+        """Return the handle for the editors of `implicit`."""
+        import implicit
+
+        region = {k: v for k, v in self.region.items() if k != "kind"}
+        motion = {k: v for k, v in self.motion.items() if k != "kind"}
+        where = {"ball": implicit.Ball, "box": implicit.Box, "halfspace": implicit.HalfSpace}[self.region["kind"]]
+        if self.motion["kind"] == "vector":
+            return implicit.Handle(where(**region), motion["vector"])
+        if self.motion["kind"] == "along":
+            return implicit.Handle(where(**region), implicit.Along(motion["distance"]))
+        return implicit.Handle(where(**region), implicit.RigidMotion(**motion))
+
+
+def rounded(point: ndarray) -> list[float]:
+    """Return a point as a list of numbers that are short to read, without negative zeros."""
+    return [round(float(x), 6) + 0.0 for x in point]
+
+
+def _words(row: Mapping[str, Any]) -> str:
+    numbers = (f"{name}={value}" for name, value in row.items() if name != "kind")
+    return " ".join((str(row["kind"]), *numbers))
+
+
+def _require_numbers(what: str, given: Mapping[str, Any], kinds: Mapping[str, tuple[str, ...]]) -> None:
+    if not isinstance(given, Mapping):
+        raise TypeError(f"A {what} must be a dictionary with its kind and numbers, but is {given!r}.")
+    kind = str(given.get("kind"))
+    if kind not in kinds:
+        raise ValueError(f"The kind of a {what} must be one of {', '.join(kinds)}, but is {kind!r}.")
+    takes = kinds[kind]
+    unknown, missing = set(given) - {"kind", *takes}, set(takes) - OPTIONAL - set(given)
+    if unknown or (missing and kind != "rigid"):
+        raise ValueError(f"A {what} of kind {kind!r} must have {', '.join(takes)}, but has {', '.join(given)}.")
+    for name in takes:
+        if name in given:
+            _require_number(f"{name} of a {what}", given[name], POSITIVE.get(name), 1 if name in SCALARS else 3)
+    if kind == "box" and not all(a < b for a, b in zip(given["lower"], given["upper"])):
+        raise ValueError(f"lower must be below upper in the region, but they are {given['lower']}, {given['upper']}.")
+    if kind == "halfspace" and not np.any(given["normal"]):
+        raise ValueError("normal of a region must point somewhere, but is zero.")
+
+
+def _require_number(name: str, value: Any, least: float | None, count: int) -> None:
+    try:
+        numbers = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        numbers = np.full(count, np.nan)
+    if numbers.shape != ((3,) if count == 3 else ()) or not np.isfinite(numbers).all():
+        kind = "three finite numbers" if count == 3 else "a finite number"
+        raise ValueError(f"{name} must be {kind}, but is {value!r}.")
+    if least is not None and not (numbers > least if name.startswith("radius") else numbers >= least):
+        raise ValueError(
+            f"{name} must be {'positive' if name.startswith('radius') else 'at least 0'}, but is {value!r}."
+        )
