@@ -53,7 +53,7 @@ from implicit.surface.topology import Topology, mesh_topology, surface_topology
 from implicit.field.field import Field, SurfaceError, Units
 from implicit.field.decoder import decoder_field
 from implicit.models.field_file import load_field, save_field
-from implicit.models.checkpoints import load_checkpoint
+from implicit.models.checkpoints import load_checkpoint, load_network
 from implicit.models.siren import Siren
 from implicit.fitting.fit import FitStatus, Training, fit_field
 from implicit import families, models, shapes
@@ -70,7 +70,7 @@ __all__ = [
     "Volume", "Area", "VolumeIntegral", "SurfaceIntegral", "Integral", "Functional", "integrate",
     "extract_mesh", "project_to_surface", "surface_quadrature", "SurfaceSample", "sample_surface", "transport",
     "field_soundness", "Soundness", "surface_topology", "mesh_topology", "Topology",
-    "Field", "Units", "SurfaceError", "decoder_field", "save_field", "load_field", "load_checkpoint", "Siren",
-    "fit_field", "Training", "FitStatus",
+    "Field", "Units", "SurfaceError", "decoder_field", "save_field", "load_field", "load_checkpoint", "load_network",
+    "Siren", "fit_field", "Training", "FitStatus",
     "shapes", "models", "families",
 ]  # fmt: skip

@@ -25,6 +25,15 @@ FIELD_SUFFIX = ".safetensors"
 BUNDLED = ("spot", "cactus", "bracket")  # implicit.shapes.BUNDLED, known here without importing torch
 
 
+class NameOfFile(str):
+    """Name of a user's function as a file says it: kept, shown and compared, but never imported.
+
+    Whoever wants the code to run names it anew: dataclasses.replace(case, module="my_nets.py:make").
+    """
+
+    __slots__ = ()
+
+
 @dataclass(frozen=True, repr=False)
 class Case:
     """One shape under one operation, for both representations.
@@ -38,6 +47,9 @@ class Case:
         vertices: About how many vertices the common mesh has.
         resolution: Cells along the longest side when the field's surface is extracted.
         seed: Of every random choice.
+        module: Name of what builds the module of a field that is saved with a builder, "my_nets.py:make" or
+            "package.module:function"; None for all other shapes. It is run where it is named in a call or a command,
+            and not where a file of cases names it.
     """
 
     shape: str
@@ -47,6 +59,7 @@ class Case:
     vertices: int = 4000
     resolution: int = 96
     seed: int = 0
+    module: str | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.shape, str) or not self.shape:
@@ -63,6 +76,8 @@ class Case:
         _require_whole("vertices", self.vertices, 100)
         _require_whole("resolution", self.resolution, 8)
         _require_whole("seed", self.seed, 0)
+        if self.module is not None:
+            _require_name(self.module, self.shape)
         try:
             json.dumps(dict(self.parameters), allow_nan=False)
         except (TypeError, ValueError) as error:
@@ -73,6 +88,7 @@ class Case:
         count = len(self.handles)
         handles = f", {count} handle{'s' * (count > 1)}" if count else ""
         settings = {"vertices": self.vertices, "resolution": self.resolution, "seed": self.seed} | dict(self.parameters)
+        settings |= {} if self.module is None else {"module": self.module}
         return f"Case({self.shape}, {self.operation}{handles}, {', '.join(f'{k}={v}' for k, v in settings.items())})"
 
     @cached_property
@@ -85,15 +101,14 @@ class Case:
     @property
     def subject_key(self) -> str:
         """Hash of the parts alone that decide the field and the common mesh, which several cases share."""
-        return _digest(
-            {
-                "shape": content_of(self.shape),
-                "fit": self.parameters.get("fit", {}),
-                "vertices": self.vertices,
-                "resolution": self.resolution,
-                "seed": self.seed,
-            }
-        )
+        row = {
+            "shape": content_of(self.shape),
+            "fit": self.parameters.get("fit", {}),
+            "vertices": self.vertices,
+            "resolution": self.resolution,
+            "seed": self.seed,
+        }
+        return _digest(row if self.module is None else {**row, "module": self.module})
 
     @property
     def name(self) -> str:
@@ -101,21 +116,25 @@ class Case:
         return Path(self.shape).stem
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data."""
-        return json.loads(json.dumps(dataclasses.asdict(self)))  # tuples become lists, as they will be when read
+        """Return plain data; the module only where there is one."""
+        row = json.loads(json.dumps(dataclasses.asdict(self)))  # tuples become lists, as they will be when read
+        return {name: value for name, value in row.items() if name != "module" or value is not None}
 
     @classmethod
     def from_dict(cls, row: Mapping[str, Any]) -> Case:
-        """Return the case that `to_dict` wrote.
+        """Return the case that `to_dict` wrote. Its module, if it has one, is a NameOfFile, which is not run.
 
         Raises:
             ValueError: The row is no case.
         """
         known = {f.name for f in dataclasses.fields(cls)}
-        if not isinstance(row, Mapping) or set(row) != known or not isinstance(row["handles"], list | tuple):
+        whole = isinstance(row, Mapping) and known - {"module"} <= set(row) <= known
+        if not whole or not isinstance(row["handles"], list | tuple):
             raise ValueError(f"A case must be a row of {', '.join(sorted(known))}, but is {row!r:.200}.")
         handles = [HandleSpec(**handle) for handle in row["handles"]]
-        return cls(**{**row, "handles": tuple(handles)})
+        name = row.get("module")
+        module = NameOfFile(name) if isinstance(name, str) else name
+        return cls(**{**row, "handles": tuple(handles), "module": module})
 
     def to_json(self) -> str:
         """Return one line of JSON."""
@@ -146,6 +165,16 @@ def content_of(shape: str) -> str:
 def _require_whole(name: str, value: Any, least: int) -> None:
     if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
         raise ValueError(f"{name} must be a whole number, at least {least}, but is {value!r}.")
+
+
+def _require_name(module: Any, shape: str) -> None:
+    if not isinstance(module, str) or ":" not in module:
+        raise ValueError(f'module must be "my_nets.py:make" or "package.module:function", or None, but is {module!r}.')
+    if Path(shape).suffix.lower() != FIELD_SUFFIX:
+        raise ValueError(
+            f"module builds the network of a field's file, ending in {FIELD_SUFFIX}, but the shape is {shape}. Leave "
+            "module out, or save the field first."
+        )
 
 
 def _digest(row: Mapping[str, Any]) -> str:

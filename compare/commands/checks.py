@@ -17,6 +17,14 @@ def require_new_safetensors(what: str, path: Path) -> None:
     require_folder_for(path)
 
 
+def absolute_name(module: str | None) -> str | None:
+    """Return the name of a function with the path of its file in full, for workers that start from other folders."""
+    if module is None or ".py:" not in module:
+        return module
+    place, _, function = module.rpartition(":")
+    return f"{Path(place).absolute()}:{function}"
+
+
 def require_seed(seed: int) -> None:
     """Refuse a number that random choices cannot begin with."""
     if seed < 0:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from json import dumps
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -14,6 +14,9 @@ from compare.commands.checks import require_folder_for, require_new_safetensors,
 from compare.commands.shown import add_task, progress_bars, speaker, teller
 from compare.errors import InputError
 from compare.runs.subject import check_shape
+
+if TYPE_CHECKING:
+    from torch import nn
 
 
 @dataclass
@@ -30,6 +33,9 @@ class Fit:
     """Hidden layers."""
     activation: Literal["sine", "softplus", "relu"] = "sine"
     """Of the hidden layers."""
+    module: Annotated[str | None, tyro.conf.arg(metavar="FILE.py:FUNCTION")] = None
+    """What builds a network of your own to train in place of these, my_nets.py:make or package.module:function, called
+    without arguments; its code is run. The field's file names it."""
     steps: int = 4000
     """Of the training."""
     checkpoint: Path | None = None
@@ -63,6 +69,7 @@ def fit(command: Fit) -> int:
     from compare.files import replace_file
     from compare.fitting.fit import fit_mesh
 
+    module = None if command.module is None else _module(command.module)
     V, F = meshref.read_mesh(command.mesh)
     with progress_bars(command.quiet) as bars:
         tell = teller(bars, add_task(bars, command.mesh.name, None))
@@ -70,6 +77,7 @@ def fit(command: Fit) -> int:
             field, quality = fit_mesh(
                 V,
                 F,
+                module=module,
                 width=command.width,
                 depth=command.depth,
                 activation=command.activation,
@@ -79,9 +87,23 @@ def fit(command: Fit) -> int:
                 checkpoint=command.checkpoint,
                 progress=lambda step, steps, _: tell(step, steps, "fitting a field"),
             )
-        except ValueError as error:  # a checkpoint of another fit, say
+        except (ValueError, TypeError) as error:  # a checkpoint of another fit, say
             raise InputError(str(error)) from error
-    implicit.save_field(field, command.output)
+    implicit.save_field(field, command.output, builder=command.module)
     replace_file(command.output.with_suffix(".json"), dumps(quality.to_dict(), indent=2).encode())
     say(f"{command.output}: {quality.parameters} parameters, {quality.seconds:.0f} s. {quality.verdict}")
     return 0
+
+
+def _module(name: str) -> nn.Module:
+    """Return the user's module, of which it is known that a field of it can be trained and saved."""
+    from implicit.fitting.subjects import starting_field
+    from implicit.models.field_file import encode_field
+    from implicit.models.named_code import build_module, named_function
+
+    try:
+        module = build_module(named_function(name), {})
+        encode_field(starting_field(module, None, dimension=3), builder=name)
+    except (ValueError, TypeError) as error:
+        raise InputError(f"--module {name}: {error}") from error
+    return module

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from datetime import datetime
@@ -14,14 +15,14 @@ from numpy import ndarray
 from compare.cases.case import BUNDLED, Case
 from compare.cases.default_cases import QUICK_FIT, QUICK_SIZE, case_of_subject, default_cases
 from compare.cases.registry import OPERATIONS
-from compare.commands.checks import require_folder_for, require_seed
+from compare.commands.checks import absolute_name, require_folder_for, require_seed
 from compare.commands.exits import FAILED
 from compare.commands.shown import add_task, advance, print_json, print_table, progress_bars, speaker, teller
 from compare.errors import InputError, Progress
 from compare.runs.executors import WorkerDiedError, executor_of
 from compare.runs.lock import lock
 from compare.runs.records import FILE, read
-from compare.runs.subject import check_shape, prepare_subject
+from compare.runs.subject import check_shape, modules_of, prepare_subject
 
 if TYPE_CHECKING:
     OperationName = str
@@ -43,6 +44,8 @@ class Run:
     """Coarser and with fewer steps: to see that it works, not for figures."""
     seed: int = 0
     """Of every random choice."""
+    module: Annotated[str | None, tyro.conf.arg(metavar="FILE.py:FUNCTION")] = None
+    """What builds the network of a field of your own, my_nets.py:make or package.module:function; its code is run."""
     workers: Annotated[int, tyro.conf.arg(metavar="N")] = 0
     """Processes to run in, one thread each; 0 runs in this one."""
     dask: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
@@ -62,9 +65,11 @@ def run(command: Run) -> int:
     _require_run_folder(folder, command.resume)
     if command.dask is not None:  # its workers have folders of their own to start from
         command.shapes = tuple(name if name in BUNDLED else str(Path(name).absolute()) for name in command.shapes)
+        command.module = absolute_name(command.module)
     say = speaker(command.quiet, to_stderr=command.json)
     _require_distinct(command.shapes)
-    mended = [sentence for name in command.shapes for sentence in check_shape(name)]
+    modules = modules_of(command.shapes, command.module)
+    mended = [sentence for name in command.shapes for sentence in check_shape(name, modules[name])]
     for sentence in mended:
         say(sentence)
 
@@ -81,7 +86,7 @@ def run(command: Run) -> int:
         tell = teller(bars, add_task(bars, "", None) if executor is None else None)
 
         try:
-            cases = _cases(command, folder, executor, tell)
+            cases = _cases(command, modules, folder, executor, tell)
             records = run_cases(cases, executor, folder=folder, progress=tell, on_record=lambda _: advance(bars, total))
         except KeyboardInterrupt:
             on = f"What is done is kept; the same command with --resume -o {folder} goes on with the rest."
@@ -95,12 +100,14 @@ def run(command: Run) -> int:
     return FAILED if any(record.failed for record in records) else 0
 
 
-def _cases(command: Run, folder: Path, executor: Executor | None, tell: Progress) -> list[Case]:
+def _cases(
+    command: Run, modules: Mapping[str, str | None], folder: Path, executor: Executor | None, tell: Progress
+) -> list[Case]:
     """Prepare the shapes, which may fit a network to each, and find the handles on them."""
     fit = QUICK_FIT if command.quick else {}
     settings: dict[str, Any] = {"seed": command.seed, **(QUICK_SIZE if command.quick else {})}
     # What decides the subject is the same for all cases of a shape.
-    any_case = {name: case_of_subject(name, fit, **settings) for name in command.shapes}
+    any_case = {name: case_of_subject(name, fit, **settings, module=modules[name]) for name in command.shapes}
     waiting = {
         name: executor.submit(_surface, case, folder.absolute())
         for name, case in any_case.items()
@@ -112,7 +119,8 @@ def _cases(command: Run, folder: Path, executor: Executor | None, tell: Progress
             V, N = waiting[name].result() if waiting else _surface(case, folder, tell)
         except (ValueError, OSError, WorkerDiedError) as error:
             raise InputError(f"{name}: {error}") from error
-        cases += default_cases(name, V, N, operations=command.operations, quick=command.quick, fit=fit, **settings)
+        own = {**settings, "module": modules[name]}
+        cases += default_cases(name, V, N, operations=command.operations, quick=command.quick, fit=fit, **own)
     return cases
 
 

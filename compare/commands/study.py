@@ -31,6 +31,9 @@ class Study:
     """Study folder; by default results/ and the name. If it holds this study, only what is missing is done."""
     shapes: Annotated[tuple[str, ...], tyro.conf.arg(metavar="SHAPE ...")] = ()
     """In place of the study's own: bundled shapes, meshes or fields."""
+    module: Annotated[str | None, tyro.conf.arg(metavar="FILE.py:FUNCTION")] = None
+    """What builds the network of a field of your own, my_nets.py:make or package.module:function; its code is run. A
+    study's file cannot name it: name it each time."""
     workers: Annotated[int, tyro.conf.arg(metavar="N")] = 0
     """Processes to run in, one thread each; 0 runs in this one."""
     dask: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
@@ -71,7 +74,8 @@ def study(command: Study) -> int:
 
         try:
             tell = teller(bars, current)
-            records = run_study(chosen, folder, executor, on_plan=on_plan, on_record=on_record, progress=tell)
+            told: dict[str, Any] = {"on_plan": on_plan, "on_record": on_record, "progress": tell}
+            records = run_study(chosen, folder, executor, **told, module=command.module)
         except KeyboardInterrupt:
             kept = f"{finished(folder)} cases are kept; the same command goes on with the rest."
             raise KeyboardInterrupt(kept) from None

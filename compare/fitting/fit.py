@@ -17,11 +17,13 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 from numpy import ndarray
+from torch import nn
 
 import implicit
 import meshref
 from implicit.field.field import Field, Units
 from implicit.fitting.fit import FitStatus, Training, fit_field, require_training
+from implicit.fitting.subjects import starting_field
 
 SIDE = 1.6  # longest side of the mesh's box in the field's coordinates
 
@@ -98,6 +100,7 @@ def fit_mesh(
     V: Float[ndarray, "n 3"],
     F: Int[ndarray, "m 3"],
     *,
+    module: nn.Module | None = None,
     width: int = 32,
     depth: int = 3,
     activation: Literal["sine", "softplus", "relu"] = "sine",
@@ -115,6 +118,8 @@ def fit_mesh(
     Args:
         V: Vertices (n, 3), in any units and anywhere.
         F: Triangles (m, 3). The mesh may be as found in the wild; mend_mesh makes a solid of it.
+        module: A module of one's own to train in place of a Siren or an Mlp, from points (N, 3) in [-1, 1]^3 to signed
+            distances. It is not touched: the field's `write_back` stores what was trained in it. See fit_field.
         width, depth, activation: The network; the default has 2273 parameters. Knotty or sharp shapes come out better
             with 64 or 128 wide.
         steps: Steps of training.
@@ -124,16 +129,17 @@ def fit_mesh(
         hole_limit: Longest boundary of a hole that is closed, in diagonals of the box round the mesh.
         progress: Called as progress(step, steps, loss).
         checkpoint: File from which an interrupted training goes on; see fit_field.
-        **training: Further options of fit_field.
+        **training: Further options of fit_field, such as start, a field in [-1, 1]^3 to go on from.
 
     Returns:
-        The field, float32, in [-1, 1]^3, and the report.
+        The field, float32 or in the module's precision, in [-1, 1]^3, and the report.
 
     Raises:
         meshref.MeshError: The mesh cannot be mended; the message says why and where.
-        ValueError: An option of the training is out of range.
+        ValueError: An option of the training is out of range, or the module cannot be trained.
+        TypeError: The module does not map points (N, 3) to N values.
     """
-    start = perf_counter()
+    begun = perf_counter()
     options = {
         "width": width,
         "depth": depth,
@@ -142,7 +148,9 @@ def fit_mesh(
         "seconds": seconds,
         "seed": seed,
     }
-    require_training({**options, "checkpoint": checkpoint, **training})
+    require_training({**options, "checkpoint": checkpoint, "module": module, **training})
+    if module is not None or training.get("start") is not None:
+        starting_field(module, training.get("start"), dimension=3)  # refused before the mesh is mended and sampled
     V, F, mending = meshref.mend_mesh(V, F, bodies=bodies, hole_limit=hole_limit)
     V, units = place_in_cube(V)
     query = meshref.SignedDistanceQuery(V, F)
@@ -152,6 +160,7 @@ def fit_mesh(
         torch.from_numpy(points),
         torch.from_numpy(answer.distance),
         torch.from_numpy(answer.normal),
+        module=module,
         width=width,
         depth=depth,
         activation=activation,
@@ -163,7 +172,7 @@ def fit_mesh(
         checkpoint=checkpoint,
         **training,
     )
-    return field, _report(field, how, V, F, mending.steps, seed, start)
+    return field, _report(field, how, V, F, mending.steps, seed, begun)
 
 
 def place_in_cube(V: Float[ndarray, "n 3"]) -> tuple[Float[ndarray, "n 3"], Units]:

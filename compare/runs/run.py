@@ -26,7 +26,7 @@ from compare.runs.operations import edit_by_all, target_motion
 from compare.runs.provenance import provenance
 from compare.runs.records import Artefact, Record
 from compare.runs.rows import SideRow
-from compare.runs.subject import describe, prepare_subject
+from compare.runs.subject import describe, prepare_subject, saving_options
 
 
 def run_case(
@@ -229,7 +229,7 @@ def _write(
         path.parent.mkdir(parents=True, exist_ok=True)
     edited = sides["implicit"].field
     assert edited is not None
-    implicit.save_field(edited, paths["field"])
+    implicit.save_field(edited, paths["field"], **saving_options(case))
     length = subject.scale if operation_of(case.operation).error_is_length else 1.0
 
     meshref.write_mesh(paths["before"], subject.to_user(subject.V), subject.F, quality=target.handle.astype(float))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from compare.cases.case import BUNDLED, FIELD_SUFFIX, MESH_SUFFIXES, Case
+from compare.cases.case import BUNDLED, FIELD_SUFFIX, MESH_SUFFIXES, Case, NameOfFile
 from compare.cases.subject import Subject
 from compare.errors import InputError, Progress
 from compare.files import plain, replace_file
@@ -26,8 +27,12 @@ if TYPE_CHECKING:
     from implicit import Field
 
 
-def check_shape(shape: str) -> list[str]:
+def check_shape(shape: str, module: str | None = None) -> list[str]:
     """Refuse a shape that cannot be used, before any work; return what will be mended, in sentences.
+
+    Args:
+        shape: As for Case.
+        module: As for Case; its code is run.
 
     Raises:
         InputError: There is no such shape or file, or the mesh is beyond mending.
@@ -39,13 +44,54 @@ def check_shape(shape: str) -> list[str]:
         import implicit
 
         try:
-            loaded = implicit.load_field(shape)
+            loaded = implicit.load_field(shape, module=module)
         except (ValueError, TypeError, OSError) as error:
             raise InputError(f"{shape}: {error}") from error
         if loaded.dimension != 3:
             raise InputError(f"{shape} holds a field in {loaded.dimension} dimensions, but a comparison needs 3.")
         return []
     return load_mesh(shape)[2]
+
+
+def modules_of(shapes: Sequence[str], module: str | None) -> dict[str, str | None]:
+    """Return for each shape what builds its network: the module where its file needs one, else None.
+
+    Nothing is run.
+
+    Args:
+        shapes: As for Case.
+        module: What the user names for all of them.
+
+    Raises:
+        InputError: A shape is no shape, or a module is named that none of them needs.
+    """
+    from implicit.models.field_file import builder_of
+
+    needed: dict[str, str | None] = dict.fromkeys(shapes)
+    if module is None:
+        return needed
+    for shape in shapes:
+        if _require_file(shape) == FIELD_SUFFIX:
+            try:
+                needed[shape] = module if builder_of(shape) is not None else None
+            except (ValueError, OSError) as error:
+                raise InputError(f"{shape}: {error}") from error
+    if not any(needed.values()):
+        raise InputError(
+            f"The module {module} is named, but none of {', '.join(shapes)} is a field whose file needs one. Leave it "
+            "out."
+        )
+    return needed
+
+
+def saving_options(case: Case) -> dict[str, Any]:
+    """Return the options of save_field that keep what builds the network of a case's shape."""
+    from implicit.models.field_file import builder_of
+
+    if case.module is None:
+        return {}
+    built = builder_of(case.shape)
+    return {"builder": str(case.module), "arguments": {} if built is None else built[1]}
 
 
 def _require_file(shape: str) -> str | None:
@@ -108,7 +154,13 @@ def prepare_subject(case: Case, *, folder: Path | None = None, progress: Progres
     if not isinstance(case, Case):
         raise TypeError(f"case must be a Case(shape, operation, ...), but is {case!r}.")
     _require_file(case.shape)
-    files = None if folder is None else _Files(folder / "subjects" / f"{case.name}-{case.subject_key}")
+    if isinstance(case.module, NameOfFile):
+        raise InputError(
+            f"The case was read from a file, which says that {case.module} builds the network of {case.shape}. No code "
+            "is run because a file names it. If you trust that code, name it: dataclasses.replace(case, "
+            f"module={str(case.module)!r}), or --module on the command line."
+        )
+    files = None if folder is None else _Files(folder / "subjects" / f"{case.name}-{case.subject_key}", case)
     if files is not None and files.complete:
         return files.read()
     start = perf_counter()
@@ -117,7 +169,7 @@ def prepare_subject(case: Case, *, folder: Path | None = None, progress: Progres
     if case.shape in BUNDLED:
         source = bundled(case.shape)
     elif Path(case.shape).suffix.lower() == FIELD_SUFFIX:
-        source = implicit.load_field(case.shape)
+        source = implicit.load_field(case.shape, module=case.module)
     else:
         source, fit, notes = _fit(case, progress)
     edited = source.to(torch.float64)
@@ -136,6 +188,7 @@ class _Files:
     """A subject in a run folder, in the field's coordinates; the .json is written last and says that it is whole."""
 
     stem: Path
+    case: Case
 
     @property
     def complete(self) -> bool:
@@ -146,7 +199,7 @@ class _Files:
         import meshref
 
         self.stem.parent.mkdir(parents=True, exist_ok=True)
-        implicit.save_field(subject.field, self.stem.with_suffix(".safetensors"))
+        implicit.save_field(subject.field, self.stem.with_suffix(".safetensors"), **saving_options(self.case))
         meshref.write_mesh(self.stem.with_suffix(".ply"), subject.V, subject.F)
         row = {"notes": subject.notes, "fit": plain(subject.fit), "seconds": subject.seconds}
         replace_file(self.stem.with_suffix(".json"), json.dumps(row).encode())
@@ -158,7 +211,7 @@ class _Files:
         import meshref
 
         row = json.loads(self.stem.with_suffix(".json").read_text())
-        field = implicit.load_field(self.stem.with_suffix(".safetensors")).to(torch.float64)
+        field = implicit.load_field(self.stem.with_suffix(".safetensors"), module=self.case.module).to(torch.float64)
         V, F = meshref.read_mesh(self.stem.with_suffix(".ply"))
         N = field.normal(torch.from_numpy(V)).numpy()
         return Subject(field, V, F, N, tuple(row["notes"]), row["fit"], row["seconds"])

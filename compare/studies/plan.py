@@ -8,7 +8,7 @@ from __future__ import annotations
 import difflib
 import inspect
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -35,17 +35,18 @@ CELLS = 64  # along a field's bounds, for these
 CELLS_TO_FIT = 128  # and for the mesh of a bundled shape, to which networks are fitted
 
 # What compare hands to the editors itself, beside what takes more than plain data.
-OURS = {"track", "progress", "seed", "constraints", "checkpoint", "units"}
+OURS = {"track", "progress", "seed", "constraints", "checkpoint", "units", "module", "start"}
 
 FITS: tuple[Callable[..., Any], ...] = (fit_mesh, implicit.fit_field)  # what stands behind fit.NAME
 
 
-def plan(study: Study, inputs: Path) -> list[Case]:
+def plan(study: Study, inputs: Path, modules: Mapping[str, str | None] | None = None) -> list[Case]:
     """Return all cases of a study, in the order of shapes, operations and grid.
 
     Args:
         study: Whose shapes have been checked.
         inputs: The folder where a bundled shape is written as a mesh, if the study fits networks.
+        modules: Of each shape that needs one, the module as for Case; its code is run.
 
     Raises:
         InputError: An option is not one that the editor of an operation takes.
@@ -54,9 +55,10 @@ def plan(study: Study, inputs: Path) -> list[Case]:
     cases = []
     for name in study.shapes:
         shape = _as_mesh(name, inputs) if _fits(study) and name in BUNDLED else name
-        V, N = outline(shape)
+        module = None if modules is None else modules.get(shape)
+        V, N = outline(shape, module)
         fit = QUICK_FIT if study.quick and Path(shape).suffix.lower() in MESH_SUFFIXES else {}
-        settings = QUICK_SIZE if study.quick else {}
+        settings: dict[str, Any] = {**(QUICK_SIZE if study.quick else {}), "module": module}
         for base in default_cases(shape, V, N, operations=study.operations, quick=study.quick, fit=fit, **settings):
             if study.handles and base.handles:
                 base = replace(base, handles=study.handles)
@@ -72,13 +74,13 @@ def combinations(study: Study) -> Iterator[dict[str, Any]]:
         yield {name: value for part in point for name, value in part.items()}
 
 
-def outline(shape: str) -> tuple[Float[ndarray, "n 3"], Float[ndarray, "n 3"]]:
+def outline(shape: str, module: str | None = None) -> tuple[Float[ndarray, "n 3"], Float[ndarray, "n 3"]]:
     """Return points spread evenly over a shape, in its field's coordinates, and outward normals there."""
     if Path(shape).suffix.lower() in MESH_SUFFIXES:
         V, F, _ = load_mesh(shape)
         V, _ = place_in_cube(V)
     else:
-        V, F = implicit.extract_mesh(_field(shape), CELLS)
+        V, F = implicit.extract_mesh(_field(shape, module), CELLS)
     sample = meshref.sample_mesh(V, F, POINTS)
     return sample.points, sample.normals
 
@@ -133,8 +135,8 @@ def _fits(study: Study) -> bool:
     return any(name.split(".")[0] == "fit" for name in [*study.settings, *study.varied])
 
 
-def _field(shape: str) -> implicit.Field:
-    return (bundled(shape) if shape in BUNDLED else implicit.load_field(shape)).to(torch.float64)
+def _field(shape: str, module: str | None = None) -> implicit.Field:
+    return (bundled(shape) if shape in BUNDLED else implicit.load_field(shape, module=module)).to(torch.float64)
 
 
 def _as_mesh(name: str, inputs: Path) -> str:

@@ -10,9 +10,9 @@ report.html    every case with its curves, and in 3D, with fields/ and meshes/, 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from compare.errors import InputError, Progress
 from compare.files import replace_file
 from compare.runs.lock import FILE as LOCK_FILE, lock
 from compare.runs.records import FILE, Record, read
-from compare.runs.subject import check_shape
+from compare.runs.subject import check_shape, modules_of
 from compare.studies.study import Study, find_study
 
 SCHEMA = 1
@@ -73,6 +73,7 @@ def run_study(
     on_plan: Callable[[list[Case], int], None] | None = None,
     on_record: Callable[[Record], None] | None = None,
     progress: Progress | None = None,
+    module: str | None = None,
 ) -> list[Record]:
     """Do what is missing of a study in a folder, and sum it up.
 
@@ -83,6 +84,7 @@ def run_study(
         on_plan: Told of the cases, and of how many are done already, before the first is run.
         on_record: Called with each record as it comes.
         progress: As for run_case; told only of what runs here.
+        module: As for Case, for those of the shapes that need one. Its code is run; what a study's files name is not.
 
     Returns:
         The records of all cases, in the order of the study.
@@ -94,19 +96,20 @@ def run_study(
     study = find_study(study) if isinstance(study, str) else study
     folder = Path(folder)
     require_folder_of(study, folder)
+    modules = modules_of(study.shapes, module)
     for shape in study.shapes:
-        check_shape(shape)
+        check_shape(shape, modules[shape])
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with lock(folder):
-            begun = _begin(study, folder)
+            begun = _begin(study, folder, modules)
             if on_plan is not None:
                 on_plan(begun.cases, finished(folder))
 
             from compare.runs.run import run_cases
 
             records = run_cases(
-                begun.cases,
+                [_named(case, modules.get(case.shape)) for case in begun.cases],
                 executor,
                 folder=folder,
                 keep_meshes=study.keep_meshes,
@@ -158,7 +161,19 @@ def sum_up(study: Study, records: list[Record], folder: Path) -> None:
     report(records, folder / "report.html")
 
 
-def _begin(study: Study, folder: Path) -> Begun:
+def _named(case: Case, module: str | None) -> Case:
+    """Return a case of the study's files with its module as the user names it, who alone can have it run."""
+    if case.module is None:
+        return case
+    if module != case.module:
+        raise InputError(
+            f"The study was begun with the network of {case.shape} built by {case.module}, but {module} is named now. "
+            "Name the same, or another folder."
+        )
+    return replace(case, module=module)
+
+
+def _begin(study: Study, folder: Path, modules: Mapping[str, str | None]) -> Begun:
     if (folder / STUDY_FILE).is_file():
         begun = Begun.read(folder)
         for shape, content in begun.inputs.items():
@@ -170,7 +185,7 @@ def _begin(study: Study, folder: Path) -> Begun:
 
     from compare.studies.plan import plan
 
-    cases = plan(study, folder / INPUTS)
+    cases = plan(study, folder / INPUTS, modules)
     shapes = dict.fromkeys(case.shape for case in cases)
     begun = Begun(study, cases, {shape: _content(shape) for shape in shapes if Path(shape).suffix})
     begun.write(folder)

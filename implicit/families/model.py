@@ -19,8 +19,9 @@ from implicit.families.lamps import LAMPS
 from implicit.field.decoder import decoder_field
 from implicit.field.field import Field, Units
 from implicit.files import replace_file
-from implicit.models.checkpoints import Decoder, fill, load_checkpoint, read_tensors
+from implicit.models.checkpoints import Decoder, load_checkpoint, read_tensors
 from implicit.models.imnet import ImNetEncoder
+from implicit.models.layouts import MisfitError, fill
 
 FAMILIES = {family.name: family for family in (CHAIRS, AIRPLANES, LAMPS)}
 FORMAT = "implicit-family-1"
@@ -119,7 +120,10 @@ def load_model(path: str | PathLike[str]) -> FamilyModel:
     if header["encoder"] is not None:
         encoder = ImNetEncoder(**header["encoder"])
         own = {k.removeprefix("encoder."): v for k, v in state.items() if k.startswith("encoder.")}
-        fill(encoder, own, path, "the encoder that it names")
+        try:
+            fill(encoder, own)
+        except MisfitError as error:
+            raise ValueError(f"{path} does not fit the encoder that it names: {error}. Write it again.") from error
         encoder.eval().requires_grad_(False)
     return FamilyModel(
         FAMILIES[header["family"]], decoder, latents, state["parameters"].double(), encoder, header["report"]

@@ -7,6 +7,7 @@ from implicit.models.dualsdf import DualSdf
 from implicit.models.imnet import ImNet, ImNetEncoder
 from implicit.models.mlp import Mlp
 from implicit.models.registry import build, register
+from implicit.models.sdf_network import SdfNetwork
 from implicit.models.siren import Siren
 
-__all__ = ["DeepSdf", "DualSdf", "ImNet", "ImNetEncoder", "Mlp", "Siren", "build", "register"]
+__all__ = ["DeepSdf", "DualSdf", "ImNet", "ImNetEncoder", "Mlp", "SdfNetwork", "Siren", "build", "register"]

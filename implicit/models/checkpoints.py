@@ -1,56 +1,40 @@
-"""Read published checkpoints of generative models as they are: IM-NET, DualSDF, DeepSDF.
+"""Read published checkpoints as they are: decoders with their codes, and networks of single shapes as fields.
 
-The networks' sizes are read off the shapes of the tensors; then every tensor must be there and fit. Weights from
-elsewhere are not trusted: only tensors are read, by safetensors or by torch's loader for weights alone, and nothing in
-a file is executed.
-
-| architecture | tensors | codes |
-|---|---|---|
-| imnet | linear_1 ... linear_7, in an auto-encoder after "generator." | made by its encoder |
-| dualsdf | deepsdf_net., prim_attr_net., in "trainer_state_dict" | latent_embeddings.weight_mu |
-| deepsdf | lin0 ... lin8, after "module." in "model_state_dict" | a file of their own, "latent_codes" |
+The networks' sizes are read off the shapes of the tensors (implicit.models.layouts); then every tensor must be there
+and fit. Weights from elsewhere are not trusted: only tensors are read, by safetensors or by torch's loader for weights
+alone, and nothing in a file is executed.
 """
 
 from __future__ import annotations
 
 import pickle
-import re
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from os import PathLike
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from implicit.arguments import require_choice
+from implicit.arguments import require_choice, require_positive
+from implicit.field.field import CUBE, Bounds, Field, Units
 from implicit.files import as_path
 from implicit.models.deepsdf import DeepSdf
 from implicit.models.dualsdf import DualSdf
 from implicit.models.imnet import ImNet
+from implicit.models.layouts import DECODERS, LAYOUTS, NETWORKS, MisfitError, dictionaries, fitting
 
 Architecture = Literal["imnet", "dualsdf", "deepsdf"]
+Network = Literal["siren", "i3d", "igr", "neus", "volsdf"]
 Decoder = ImNet | DualSdf | DeepSdf
-State = Mapping[str, Tensor]
 
-# A tensor that each layout begins with, by which its place in a file is found.
-_FIRST = {"imnet": "linear_1.bias", "dualsdf": "deepsdf_net.net1.0.bias", "deepsdf": "lin0.bias"}
-
-_LAYOUTS = {
-    "imnet": "linear_1 ... linear_7, weight and bias each",
-    "dualsdf": "deepsdf_net and prim_attr_net, each with net1.k and net2.k under weight norm",
-    "deepsdf": "lin0 ... linK, all but the last under weight norm",
-}
-
-# What may stand beside a decoder's tensors.
-_BESIDE = ("latents", "latent_codes.", "latent_embeddings.", "parameters", "encoder.")
 _CODES = ("latents", "latent_embeddings.weight_mu", "latent_codes.weight", "latent_codes")
 
 
 def load_checkpoint(
     path: str | PathLike[str],
-    architecture: Architecture,
+    architecture: Architecture | Literal["auto"],
     *,
     codes: str | PathLike[str] | None = None,
     dtype: torch.dtype = torch.float32,
@@ -59,7 +43,7 @@ def load_checkpoint(
 
     Args:
         path: A .safetensors, or what torch.save wrote.
-        architecture: Name of the architecture whose layout the file has.
+        architecture: Name of the architecture whose layout the file has; "auto" takes the one that it fits.
         codes: Another file that holds the codes, as DeepSDF writes them; None takes those in the same file.
         dtype: Precision of what is returned.
 
@@ -70,19 +54,13 @@ def load_checkpoint(
     Raises:
         FileNotFoundError: There is no such file.
         ValueError: The file is cut short, holds anything but tensors, or a tensor is missing, has another shape than
-            the layout says, is not finite, or belongs to no layer. The first one is named.
+            the layout says, is not finite, or belongs to no layer: the first one is named. Or "auto" fits no layout of
+            a decoder, or several.
     """
-    require_choice("architecture", architecture, tuple(_FIRST))
+    _require_one_of("architecture", architecture, tuple(DECODERS), tuple(NETWORKS), "load_network")
     content = read_tensors(path)
-    state = _state_of(content, architecture, path)
-    arguments: Callable[[State], Decoder] = _BUILDERS[architecture]
-    try:
-        decoder = arguments(state)
-    except KeyError as error:
-        raise ValueError(_misfit(path, architecture, f"{error.args[0]} is missing")) from error
-    except (ValueError, IndexError) as error:
-        raise ValueError(_misfit(path, architecture, str(error))) from error
-    fill(decoder, state, path, _LAYOUTS[architecture])
+    chosen = _chosen(path, content, architecture, tuple(DECODERS), "load_network")
+    decoder = cast(Decoder, _module(path, content, chosen, dtype))
     latents = _codes_of(content if codes is None else read_tensors(codes), path if codes is None else codes)
     if latents is None:
         latents = torch.zeros(0, decoder.latent)
@@ -91,7 +69,101 @@ def load_checkpoint(
             f"{codes or path}: the codes have shape {tuple(latents.shape)}, but the decoder in {path} takes codes of "
             f"{decoder.latent} numbers. Give the codes of the same training."
         )
-    return decoder.to(dtype).eval().requires_grad_(False), latents.to(dtype)
+    return decoder.eval().requires_grad_(False), latents.to(dtype)
+
+
+def load_network(
+    path: str | PathLike[str],
+    architecture: Network | Literal["auto"] = "auto",
+    *,
+    first_frequency: float | None = None,
+    frequency: float | None = None,
+    scale: float | None = None,
+    sharpness: float | None = None,
+    level: float = 0.0,
+    inside: Literal["negative", "positive"] = "negative",
+    bounds: Bounds = CUBE,
+    units: Units | None = None,
+    dtype: torch.dtype = torch.float32,
+) -> Field:
+    """Return a field of a published network of one shape, out of a file.
+
+    "siren" is vsitzmann's SingleBVPNet, "i3d" the SIREN of i3d, "igr" the network of IGR, "neus" and "volsdf" the
+    networks of signed distances in the checkpoints of NeuS and VolSDF, whose renderers are left out; so is VolSDF's
+    sphere round the scene, which bounds its distances from above far from the object. `save_field` keeps any of them.
+
+    Args:
+        path: A .safetensors, or what torch.save wrote.
+        architecture: Name of the architecture whose layout the file has; "auto" takes the one that it fits.
+        first_frequency: Factor in the first sine of a SIREN (omega_0, w0), which no tensor tells; None is 30.
+        frequency: Factor in its later sines (i3d's ww); None is 30.
+        scale: Factor of the points in IGR, NeuS and VolSDF, by which the value is divided; None is 1.
+        sharpness: Of their softplus; None is 100.
+        level, inside, bounds, units: As for Field.
+        dtype: Precision of the field.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: As for load_checkpoint; or an option is one that the architecture has not.
+    """
+    _require_one_of("architecture", architecture, tuple(NETWORKS), tuple(DECODERS), "load_checkpoint")
+    given = {"first_frequency": first_frequency, "frequency": frequency, "scale": scale, "sharpness": sharpness}
+    options = {name: value for name, value in given.items() if value is not None}
+    for name, value in options.items():
+        require_positive(name, value)
+    content = read_tensors(path)
+    chosen = _chosen(path, content, architecture, tuple(NETWORKS), "load_checkpoint")
+    foreign = [name for name in options if name not in LAYOUTS[chosen].options]
+    if foreign:
+        raise ValueError(
+            f"{foreign[0]} is no option of {chosen}, which takes {', '.join(LAYOUTS[chosen].options)}. Leave it out."
+        )
+    module = _module(path, content, chosen, dtype, **options)
+    return Field(module, level=level, inside=inside, bounds=bounds, units=units)
+
+
+def _require_one_of(name: str, value: Any, own: tuple[str, ...], others: tuple[str, ...], other: str) -> None:
+    if isinstance(value, str) and value in others:
+        kind = "takes no code" if other == "load_network" else "takes a code"
+        raise ValueError(f"{value} is an architecture that {kind}. Load it by {other}(path, {value!r}).")
+    require_choice(name, value, (*own, "auto"))
+
+
+def _chosen(
+    path: str | PathLike[str], content: Mapping[str, Any], architecture: str, own: tuple[str, ...], other: str
+) -> str:
+    """Return the architecture as named, or the only one that fits."""
+    if architecture != "auto":
+        return architecture
+    fits = fitting(content)
+    here = [name for name in fits if name in own]
+    if len(here) == 1:
+        return here[0]
+    if here:
+        raise ValueError(f"{path} fits the layouts of {' and '.join(here)}. Name the one that it was trained as.")
+    if fits:
+        raise ValueError(f"{path} fits the layout of {' and '.join(fits)}. Load it by {other}(path, {fits[0]!r}).")
+    layouts = "; ".join(f"{name}: {layout.wanted}" for name, layout in LAYOUTS.items())
+    names = [name for part in dictionaries(content) for name, value in part.items() if isinstance(value, Tensor)]
+    raise ValueError(
+        f"{path} fits no published layout that is known. It holds {', '.join(map(str, names[:4])) or 'no tensors'}"
+        f"{', ...' if len(names) > 4 else ''}; known are {layouts}. Name an architecture to see what does not fit, or "
+        "load it in its own program and give the module to Field."
+    )
+
+
+def _module(
+    path: str | PathLike[str], content: Mapping[str, Any], architecture: str, dtype: torch.dtype, **options: float
+) -> nn.Module:
+    layout = LAYOUTS[architecture]
+    try:
+        return layout.module(content, dtype, **options)
+    except MisfitError as error:
+        raise ValueError(
+            f"{path} does not fit the layout of {architecture}: {error}. Wanted is {layout.wanted}."
+        ) from error
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
 
 
 def read_tensors(path: str | PathLike[str]) -> dict[str, Any]:
@@ -127,42 +199,8 @@ def read_tensors(path: str | PathLike[str]) -> dict[str, Any]:
     return dict(content)
 
 
-def fill(module: nn.Module, state: State, path: str | PathLike[str], layout: str) -> None:
-    """Load tensors into a module after comparing each with what the module has there."""
-    expected = module.state_dict()
-    for name, own in expected.items():
-        if name not in state:
-            raise ValueError(f"{path} does not fit its architecture: {name} is missing. Wanted is {layout}.")
-        if state[name].shape != own.shape:
-            raise ValueError(
-                f"{path} does not fit its architecture: {name} has shape {tuple(state[name].shape)}, but the layers "
-                f"before it want {tuple(own.shape)}. Wanted is {layout}."
-            )
-        if not bool(torch.isfinite(state[name]).all()):
-            raise ValueError(f"{path}: {name} holds NaN or infinite numbers. Fetch or train it again.")
-    for name in state:
-        if name not in expected and not name.startswith(_BESIDE):
-            raise ValueError(f"{path} does not fit its architecture: {name} belongs to no layer. Wanted is {layout}.")
-    module.load_state_dict({name: state[name] for name in expected})
-
-
-def _state_of(content: Mapping[str, Any], architecture: str, path: str | PathLike[str]) -> State:
-    """Return the decoder's tensors by the names of its layout, wherever in the file and after whatever prefix."""
-    first = _FIRST[architecture]
-    for part in _dictionaries(content):
-        for name in part:
-            if isinstance(name, str) and (name == first or name.endswith("." + first)):
-                prefix = name.removesuffix(first)
-                return {
-                    key.removeprefix(prefix): value
-                    for key, value in part.items()
-                    if isinstance(key, str) and key.startswith(prefix) and isinstance(value, Tensor)
-                }
-    raise ValueError(_misfit(path, architecture, f"{first} is missing"))
-
-
 def _codes_of(content: Mapping[str, Any], path: str | PathLike[str]) -> Tensor | None:
-    for part in _dictionaries(content):
+    for part in dictionaries(content):
         for name in _CODES:
             value = part.get(name)
             if isinstance(value, Tensor):
@@ -173,77 +211,6 @@ def _codes_of(content: Mapping[str, Any], path: str | PathLike[str]) -> Tensor |
             if isinstance(value, Mapping) and isinstance(value.get("weight"), Tensor):
                 return value["weight"]
     return None
-
-
-def _dictionaries(content: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
-    yield content
-    for value in content.values():
-        if isinstance(value, Mapping):
-            yield from _dictionaries(value)
-
-
-# The sizes of each architecture, read off its tensors
-
-
-def _imnet(state: State) -> ImNet:
-    outputs, inputs = _matrix(state, "linear_1")
-    return ImNet(inputs - 3, max(1, outputs // 8))
-
-
-def _deepsdf(state: State) -> DeepSdf:
-    width, inputs = _matrix(state, "lin0")
-    depth = max(int(found[1]) for name in state if (found := re.match(r"lin(\d+)\.", name)))
-    short = [k for k in range(depth - 1) if _matrix(state, f"lin{k}")[0] == width - inputs]
-    if len(short) != 1:
-        raise ValueError(
-            f"one of lin0 ... lin{depth - 2} must put out {width - inputs} numbers, so that the input can be given "
-            f"again after it, but {len(short)} do"
-        )
-    return DeepSdf(inputs - 3, width, depth, short[0] + 1, weight_norm="lin0.weight_v" in state)
-
-
-def _dualsdf(state: State) -> DualSdf:
-    width, inputs = _matrix(state, "deepsdf_net.net1.0")
-    depths = [_places(state, f"deepsdf_net.{net}.") for net in ("net1", "net2")]
-    if len(depths[1]) < 2:
-        raise KeyError("deepsdf_net.net2.2.bias")
-    last = _places(state, "prim_attr_net.net2.")
-    if not last:
-        raise KeyError("prim_attr_net.net2.0.bias")
-    outputs, _ = _matrix(state, f"prim_attr_net.net2.{last[-1]}")
-    return DualSdf(
-        inputs - 3,
-        width,
-        (len(depths[0]), len(depths[1])),
-        outputs // 4,
-        # Linear, ReLU, Dropout triples stand for any dropout; 0.2 is the published one.
-        dropout=0.2 if depths[1][1] == 3 else 0.0,
-        weight_norm="deepsdf_net.net1.0.weight_v" in state,
-    )
-
-
-_BUILDERS: dict[str, Callable[[State], Decoder]] = {"imnet": _imnet, "dualsdf": _dualsdf, "deepsdf": _deepsdf}
-
-
-def _matrix(state: State, layer: str) -> tuple[int, int]:
-    """Return the number of units out of a layer and into it."""
-    name = f"{layer}.weight" if f"{layer}.weight" in state else f"{layer}.weight_v"
-    if state[name].ndim != 2:
-        raise ValueError(f"{name} must be a matrix, but has shape {tuple(state[name].shape)}")
-    return state[name].shape[0], state[name].shape[1]
-
-
-def _places(state: State, prefix: str) -> list[int]:
-    """Return the places in a Sequential at which linear layers stand."""
-    return sorted(
-        int(name.removeprefix(prefix).removesuffix(".bias"))
-        for name in state
-        if name.startswith(prefix) and name.endswith(".bias")
-    )
-
-
-def _misfit(path: str | PathLike[str], architecture: str, what: str) -> str:
-    return f"{path} does not fit the layout of {architecture}: {what}. Wanted is {_LAYOUTS[architecture]}."
 
 
 def _brief(error: Exception) -> str:

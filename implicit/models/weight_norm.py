@@ -6,6 +6,8 @@ Source: Salimans and Kingma, "Weight normalization", NeurIPS 2016.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import torch
 from torch import Tensor, nn
 
@@ -47,4 +49,13 @@ def with_weight_norm(state: dict[str, Tensor], module: nn.Module) -> dict[str, T
             result[f"{layer}.weight_g"] = torch.linalg.vector_norm(value, dim=1, keepdim=True)
         else:
             result[name] = value
+    return result
+
+
+def by_older_names(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Return the state of layers under torch's newer weight norm by the names of the older one."""
+    newer = {".parametrizations.weight.original0": ".weight_g", ".parametrizations.weight.original1": ".weight_v"}
+    result = dict(state)
+    for new, old in newer.items():
+        result = {name.removesuffix(new) + old if name.endswith(new) else name: result[name] for name in result}
     return result
