@@ -22,7 +22,7 @@ from torch.func import functional_call, grad, vmap
 from implicit.field.evaluator import Parameter
 from implicit.field.field import Field
 from implicit.sensitivity.boundary_sensitivity import parameter_gradient
-from implicit.sensitivity.closed_form import is_plain
+from implicit.sensitivity.closed_form import has_closed_form
 
 # Numbers in a block of rows that is made before its zeros are dropped, 128 MB in float64.
 BLOCK = 16_000_000
@@ -52,7 +52,7 @@ def has_sparse_rows(field: Field, points: Float[Tensor, "n d"]) -> bool:
         field: The field.
         points: Points (N, D) anywhere, in any order.
     """
-    if field.takes_code or is_plain(field) or len(points) == 0:
+    if field.takes_code or has_closed_form(field) or len(points) == 0:
         return False
     if isinstance(field.module, LocalModule):
         return _local_blocks(field)[0] != []
