@@ -22,8 +22,8 @@ import torch
 from torch import Tensor, nn
 
 from implicit.field.decoder import decoder_field
-from implicit.field.evaluator import frozen_copy
 from implicit.field.field import Field, Units, require_field
+from implicit.field.frozen import Frozen
 from implicit.files import as_path, replace_file
 from implicit.models.named_code import FORMS, build_module, named_function, split_name
 from implicit.models.registry import build, is_registered
@@ -366,7 +366,7 @@ def _assembled(
 
 def _made(header: Mapping[str, Any], made_by: Callable[..., nn.Module] | nn.Module | None) -> nn.Module:
     if isinstance(made_by, nn.Module):
-        return frozen_copy(made_by)
+        return Frozen(made_by).function
     if made_by is None:
         return build(header["architecture"])
     return build_module(made_by, header["builder"]["arguments"] if "builder" in header else {})
