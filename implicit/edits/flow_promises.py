@@ -1,4 +1,4 @@
-"""Whether a surface moved as its flow asked: what a flow promises, held against what was measured.
+"""Check that a surface moved as its flow asked: what a flow promises, held against what was measured.
 
 | flow, with nothing or the volume held | promise |
 |---|---|

@@ -283,7 +283,7 @@ def _check_objects(flow: object, where: object, until: object, holding: object) 
 
 @dataclass(frozen=True)
 class FlowMemory:
-    """What a flow keeps from step to step.
+    """Memory of a flow from step to step.
 
     Attributes:
         time: Of the flow so far.

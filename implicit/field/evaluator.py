@@ -169,7 +169,7 @@ class OfModule:
 
     @property
     def form(self) -> Form:
-        """How points go in and values come out."""
+        """The form in which points go in and values come out."""
         return self._form
 
     def written(self, theta: Tensor) -> nn.Module:
@@ -212,7 +212,7 @@ class OfDecoder:
 
     @property
     def form(self) -> Form:
-        """How points go in and values come out."""
+        """The form in which points go in and values come out."""
         return self._form
 
     def written(self, theta: Tensor) -> nn.Module | None:

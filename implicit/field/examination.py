@@ -1,4 +1,4 @@
-"""What a module must be to be a field, looked at before any work, in milliseconds.
+"""Examination of what a module must be to be a field, before any work, in milliseconds.
 
 Each value must be that of its own point, the same each time, and its derivatives by the point and by the parameters
 must be those of the values. Modules that pool over the batch, draw at random, or cut their gradients off look right

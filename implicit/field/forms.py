@@ -1,4 +1,4 @@
-"""How points go into a module and where its values are in what comes out.
+"""The form of a module's calls: how points go in, and where its values are in what comes out.
 
 A field's function takes points (N, D) and gives N values. Modules take them in a batch, as columns or in a dictionary,
 and give tuples, dictionaries or many values a point; `inputs` and `output` say so.

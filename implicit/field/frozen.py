@@ -388,7 +388,7 @@ class _Attributes:
 
 
 class _Contents:
-    """What a function closes over, as a place."""
+    """The contents that a function closes over, as a place."""
 
     def __init__(self, cell: CellType) -> None:
         self._cell = cell

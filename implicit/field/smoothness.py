@@ -1,4 +1,4 @@
-"""How smooth a field is, measured on its gradients and never guessed from its class.
+"""Smoothness of a field, measured on its gradients and never guessed from its class.
 
 Two questions are kept apart. Are the second derivatives those of the gradient? A ReLU network's are: zero, as its
 gradient is constant between kinks. An operation that is differentiable once gives none, or wrong ones, and nothing says

@@ -1,4 +1,4 @@
-"""What torch says of a module that it cannot take, in words that name the module's part in it and what to do."""
+"""Errors of torch about a module that it cannot take, in words that name the module's part in it and what to do."""
 
 from __future__ import annotations
 

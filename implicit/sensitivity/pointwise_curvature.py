@@ -1,4 +1,4 @@
-"""Whether second derivatives tell how a surface bends, measured and not guessed from the field's class.
+"""Test of whether second derivatives tell how a surface bends, measured and not guessed from the field's class.
 
 Along a short way d across the surface the normal turns by
 
@@ -39,7 +39,7 @@ FLAT = 1e-4
 
 @dataclass(frozen=True)
 class NormalTurning:
-    """How far the normals of a field turn over short ways, and how much of it second derivatives explain.
+    """Turning of a field's normals over short ways, and how much of it second derivatives explain.
 
     Attributes:
         explained: The part that they explain, at most 1; 1 of a flat surface. Below 0 they say more than there is.
@@ -53,7 +53,7 @@ class NormalTurning:
 
     @property
     def is_smooth(self) -> bool:
-        """Whether curvature can be sampled at points."""
+        """True if curvature can be sampled at points."""
         return self.explained >= LEAST_EXPLAINED
 
     def __str__(self) -> str:
