@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from implicit.field.evaluator import OfDecoder, OfModule
 from implicit.field.forms import SHAPES, Form, described
-from implicit.field.frozen import guarded
+from implicit.field.frozen import guarded, is_compiled, unwrapped
 from implicit.field.torch_errors import first_line, in_our_words, meaning
 
 if TYPE_CHECKING:
@@ -183,7 +183,7 @@ def _is_crossed(field: Field, points: Tensor) -> bool:
 
 def _require_same_as(field: Field, live: nn.Module, points: Tensor, values: Tensor) -> None:
     """Refuse a module whose frozen copy is another function than itself."""
-    if any(parameter.dtype != field.dtype for parameter in live.parameters()):
+    if any(parameter.dtype != field.dtype for parameter in live.parameters()) or is_compiled(live := unwrapped(live)):
         return
     try:
         with guarded(live), torch.no_grad():

@@ -275,6 +275,7 @@ REFUSED: dict[str, tuple[Make, dict[str, Any], str]] = {
     "inside or outside": (lambda: Cut("hard"), {}, "cut off from them"),
     "a wrong backward": (lambda: By(WrongSine), {}, "gradient by its p.* must be that of its values"),
     "mean": (lambda: InCompany("mean"), {}, BATCH),
+    "a little of the mean": (lambda: InCompany("a little of the mean"), {}, f"{BATCH}.*gradient by another point"),
     "detached mean": (lambda: InCompany("detached mean"), {}, BATCH),
     "largest": (lambda: InCompany("largest"), {}, BATCH),
     "softmax": (lambda: InCompany("softmax"), {}, BATCH),
