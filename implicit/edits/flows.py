@@ -8,14 +8,18 @@
 
 |A|^2 is the sum of the squared principal curvatures. A step of time t minimises |u|^2 / 2 - t (speed, u) over the
 motions u along the normal, an explicit step, to which the implicit one adds a quadratic form of grad_surface u.
+
+Of a field without second derivatives the same integrals are taken over a mesh of its surface, with kappa in weak form
+(implicit.sensitivity.weak_curvature): each flow has them as `weak_energies`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -23,7 +27,9 @@ from torch import Tensor
 from implicit.arguments import require_finite
 from implicit.field.field import Field
 from implicit.sensitivity.frame import Frame, tangential_component
+from implicit.sensitivity.weak_curvature import FloatArray, WeakSurface
 from implicit.step.energies import Energy, NormalTarget, Smoothness
+from implicit.step.mesh_energies import MeshNormalMotion
 from implicit.surface.quadrature import SurfaceSample
 
 
@@ -45,6 +51,21 @@ class Flow(Protocol):
             kappa: Mean curvature at the points of the sample.
             time: Time of the step, in the flow's unit.
             share: Between 0 and 1, how much of the flow's speed each point gets.
+            implicit: True adds the implicit part.
+        """
+
+
+@runtime_checkable
+class WeakFlow(Protocol):
+    """A law of motion that can also be stated on a mesh of the surface, for fields without second derivatives."""
+
+    def weak_energies(self, surface: WeakSurface, time: float, share: FloatArray, implicit: bool) -> Sequence[Energy]:
+        """Return the energies that one step minimises, of a mesh's vertices.
+
+        Args:
+            surface: Mesh of the current surface.
+            time: Time of the step, in the flow's unit.
+            share: Between 0 and 1, how much of the flow's speed each vertex gets (V,).
             implicit: True adds the implicit part.
         """
 
@@ -80,6 +101,14 @@ class MeanCurvature:
         target = NormalTarget(sample.points, -time * share * (kappa - mean) / left, left * sample.weights)
         return [target, Smoothness(sample.points, time * share * sample.weights)] if implicit else [target]
 
+    def weak_energies(self, surface: WeakSurface, time: float, share: FloatArray, implicit: bool) -> Sequence[Energy]:
+        masses = surface.masses
+        kappa = surface.integrated_curvature / masses  # a density that only its integrals are taken of
+        mean = surface.integrated_curvature.sum() / masses.sum() if self.level == "mean" else self.level
+        left = 1 - np.minimum(0.5 * time * share * surface.squared_curvatures, LARGEST_GROWTH)
+        stiffness = time * surface.on_cells(share) if implicit else None
+        return [MeshNormalMotion(surface, -time * share * (kappa - mean) / left, left * masses, stiffness)]
+
 
 @dataclass(frozen=True)
 class Bending:
@@ -100,6 +129,20 @@ class Bending:
         steady = (2 * time) ** 0.5
         return [target, Smoothness(sample.points, steady * sample.weights, -(time / steady) * share[:, None] * slope)]
 
+    def weak_energies(self, surface: WeakSurface, time: float, share: FloatArray, implicit: bool) -> Sequence[Energy]:
+        kappa, total = surface.mean_curvature, surface.squared_curvatures
+        slope = np.einsum("mtk,mk->mt", surface.hat_slopes, kappa[surface.faces])
+        steady = (2 * time) ** 0.5
+        return [
+            MeshNormalMotion(
+                surface,
+                -time * share * (kappa**3 / 2 - total * kappa),
+                surface.masses,
+                np.full(len(surface.faces), steady),
+                -(time / steady) * surface.on_cells(share)[:, None] * slope,
+            )
+        ]
+
 
 @dataclass(frozen=True)
 class Offset:
@@ -114,6 +157,9 @@ class Offset:
         self, field: Field, sample: SurfaceSample, kappa: Tensor, time: float, share: Tensor, implicit: bool
     ) -> Sequence[Energy]:
         return [NormalTarget(sample.points, time * share * self.speed, sample.weights)]
+
+    def weak_energies(self, surface: WeakSurface, time: float, share: FloatArray, implicit: bool) -> Sequence[Energy]:
+        return [MeshNormalMotion(surface, time * share * self.speed, surface.masses)]
 
 
 def squared_curvatures(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:

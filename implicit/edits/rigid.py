@@ -31,9 +31,12 @@ from implicit.evolve.evolve import evolve
 from implicit.evolve.operation import Outcome, State, Taken
 from implicit.field.field import Field, require_field
 from implicit.sensitivity.moved_as_a_whole import moved_as_a_whole
+from implicit.sensitivity.pointwise_curvature import normal_turning
 from implicit.sensitivity.shape_functionals import Area, Functional, Volume
+from implicit.sensitivity.weak_curvature import WeakSurface
 from implicit.step.deformation import DeformationSpace, spanned
 from implicit.step.energies import Energy, Killing, VectorTarget
+from implicit.step.mesh_killing import MeshKilling
 from implicit.step.off_surface import off_surface
 from implicit.step.problem import DampingRule, Row, StepProblem
 from implicit.step.tangential_basis import CosineFeatures, TangentialModel
@@ -62,6 +65,15 @@ COMBINATIONS = 1500
 FEWEST_COMBINATIONS = 500
 NUMBERS = 100_000_000
 
+# Weight of the bending part of E_K on a mesh where `bending` is its default: there 1 is the energy of spokes and rims.
+MESH_BENDING = 10.0
+
+# Vertices of a mesh to an area of one cell squared, as marching makes them.
+VERTICES_OF_CELLS = 1.5
+
+# Cells along the longest side of the bounds of such a mesh: fewer lose the shape, more cost more than the points would.
+FEWEST_CELLS, MOST_CELLS = 24, 64
+
 
 def rigid_edit(
     field: Field,
@@ -89,7 +101,10 @@ def rigid_edit(
         steps: Sub-steps; handles with a RigidMotion rotate along their path. Take one per 15 degrees or so.
         alpha: Weight of the handles' squared error against the strain energy, per squared length. Both energies are
             integrals over the surface.
-        bending, thickness: Weights of the parts of E_K (see implicit.step.energies.Killing). The paper's energy has
+        bending, thickness: Weights of the parts of E_K (see implicit.step.energies.Killing). Where second derivatives
+            of the field do not tell how its surface bends, E_K is taken on a mesh of the surface
+            (implicit.step.mesh_killing): its bending is that of spokes and rims at the default, and it has no
+            thickness. The paper's energy has
             1 for both; what lies off the surface then costs as much as strain on it. The default leaves half the
             tangential energy on the bundled cow, with the same handles.
         tangential: Basis of the motion along the surface; None takes CosineFeatures(field).
@@ -108,8 +123,8 @@ def rigid_edit(
         are too few to see the strain.
 
     Raises:
-        ValueError: The field is not 3D, a region misses the surface, or the handles leave a rigid motion free
-            (fewer than three points that are not on one line).
+        ValueError: The field is not 3D, a region misses the surface, the handles leave a rigid motion free (fewer than
+            three points that are not on one line), or a thickness is asked of a field without second derivatives.
     """
     require_options(field, damping=damping, resolution=resolution, progress=progress, seed=seed)
     constraints = checked_constraints(constraints)
@@ -125,6 +140,7 @@ def rigid_edit(
         seed=seed,
     )
     operation = prepare(precise, handles, settings, tangential, points)
+    operation = replace(operation, mesh_cells=_mesh_cells(precise, operation.sample, settings))
     sample, target = operation.sample, operation.targets.target()
     before = field_soundness(field, resolution)
     whole = operation.placement(1.0)
@@ -153,6 +169,19 @@ def rigid_edit(
         notes=(*edit.notes, *operation.notes(len(field.theta))),
     )
     return with_evidence(edit, before, resolution)
+
+
+def _mesh_cells(field: Field, sample: SurfaceSample, settings: RigidSettings) -> int | None:
+    """Return the cells of a mesh with about as many vertices as the sample has points, None where none is needed."""
+    if normal_turning(field, sample.points).is_smooth:
+        return None
+    if settings.thickness > 0:
+        raise ValueError(
+            f"thickness must be 0 for this field, but is {settings.thickness}: it weighs the stretch across the "
+            "surface, which takes second derivatives, and those of this field do not tell how its surface bends."
+        )
+    side = (VERTICES_OF_CELLS * float(sample.weights.sum()) / len(sample)) ** 0.5
+    return min(max(round(field.size / side), FEWEST_CELLS), MOST_CELLS)
 
 
 def _can_be_placed(field: Field, whole: Placement, sample: SurfaceSample, constraints: Sequence[Functional]) -> bool:
@@ -227,6 +256,8 @@ class RigidOperation:
         settings: The weights of the energies.
         tangential: Basis of the motion along the surface.
         begin: The rigid motion that took the field and the sample to where the loop begins; None is none.
+        mesh_cells: Cells along the longest side of the bounds of the mesh on which E_K is taken; None takes it at the
+            points of the sample.
     """
 
     columns: ClassVar[tuple[str, ...]] = ()
@@ -236,6 +267,7 @@ class RigidOperation:
     settings: RigidSettings
     tangential: TangentialModel
     begin: Placement | None = None
+    mesh_cells: int | None = None
 
     def placement(self, fraction: float) -> Placement:
         """Return the rigid motion that takes the held points nearest to their targets after the fraction."""
@@ -256,9 +288,17 @@ class RigidOperation:
         count = parameters if combinations is None else combinations
         unknowns = count + 3 * self.tangential.count
         entries = 3 + 2 * (self.settings.bending > 0) + (self.settings.thickness > 0)
+        notes: tuple[str, ...] = ()
+        if self.mesh_cells is not None:
+            entries = 3  # the mesh has about as many vertices as there are points, of three coordinates each
+            notes = (
+                f"The strain was taken on a mesh of the surface at {self.mesh_cells} cells, for second derivatives of "
+                "the field do not tell how it bends.",
+            )
         if entries * len(self.sample) >= unknowns:
-            return ()
+            return notes
         return (
+            *notes,
             f"The strain at {len(self.sample)} points is {entries * len(self.sample)} equations for {unknowns} "
             f"unknowns, so that between the points the surface may be strained unseen. Take {-(-unknowns // entries)} "
             "points or more, or fewer waves.",
@@ -271,7 +311,7 @@ class RigidOperation:
         reach = VectorTarget(
             state.points[held], target, settings.alpha * (self.sample.weights * self.targets.weights)[held]
         )
-        strain = Killing(state.points, self.sample.weights, settings.bending, settings.thickness)
+        strain = self._strain(state)
         largest = float(target.norm(dim=1).max()) / (SMALL * state.field.size)
         damping = DAMPING * min(max(largest, LEAST), 1.0)
         energies: list[Energy] = [strain, reach]
@@ -289,6 +329,13 @@ class RigidOperation:
             DampingRule(settings.damping, first=damping, least=damping, allowed_error=0.3),
             correction_weights=self.sample.weights,
         )
+
+    def _strain(self, state: State[None]) -> Energy:
+        """Return E_K of the current surface."""
+        settings = self.settings
+        if self.mesh_cells is None:
+            return Killing(state.points, self.sample.weights, settings.bending, settings.thickness)
+        return MeshKilling(WeakSurface.extracted(state.field, self.mesh_cells), MESH_BENDING * settings.bending)
 
     def start(self, field: Field, points: Tensor) -> None:
         """Return no memory: the steps need none."""

@@ -55,6 +55,7 @@ class EditStatus(Enum):
     DONE = "All steps were taken."
     REACHED = "The stopping rule was met before the last step."
     NOT_REACHED = "All steps were taken, but the prescribed displacement was not reached; see the error field."
+    NOT_FOLLOWED = "All steps were taken, but the surface did not move as the flow asked; see the notes."
     NOT_FINITE = "Stopped before a step that would not be finite; the field is as it was before that step."
     SURFACE_LOST = "Stopped before a step after which the surface would vanish or leave the bounds of the field."
     CONSTRAINT_NOT_HELD = "Stopped before a step after which a constraint could not be restored to its tolerance."
@@ -141,7 +142,7 @@ class Edit:
 
 
 def edit_status(
-    ended: EditStatus, *, reached: bool = True, meshed: bool = True, more_pieces: bool = False
+    ended: EditStatus, *, reached: bool = True, followed: bool = True, meshed: bool = True, more_pieces: bool = False
 ) -> EditStatus:
     """Return how an edit ended: the one place where that is decided.
 
@@ -150,6 +151,7 @@ def edit_status(
     Args:
         ended: How the loop did: DONE, REACHED, or why a step was not taken.
         reached: Whether the prescribed displacement was reached.
+        followed: Whether the surface moved as a flow asked.
         meshed: Whether the edited field's surface can be meshed.
         more_pieces: Whether that has more pieces than before, where none was to appear.
     """
@@ -159,6 +161,8 @@ def edit_status(
         return ended
     if not reached:
         return EditStatus.NOT_REACHED
+    if not followed:
+        return EditStatus.NOT_FOLLOWED
     if ended is EditStatus.DONE and more_pieces:
         return EditStatus.STRAY_PIECES
     return ended

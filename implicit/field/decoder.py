@@ -12,28 +12,39 @@ from torch import Tensor, nn
 from implicit.arguments import require_callable
 from implicit.field.evaluator import parametrised_by_code
 from implicit.field.field import CUBE, Bounds, Field, Units
+from implicit.field.forms import Form, Inputs, Output
+from implicit.field.frozen import unwrapped
 
 
 def decoder_field(
     decoder: nn.Module | Callable[[Tensor, Tensor], Tensor],
     latent: Float[Tensor, " l"],
     *,
+    output: Output | None = None,
+    inputs: Inputs | None = None,
     level: float | None = None,
     inside: Literal["negative", "positive"] | None = None,
     bounds: Bounds | None = None,
     units: Units | None = None,
     weights: Iterable[str] | None = None,
+    check: bool = True,
 ) -> Field:
     """Return a field whose parameters are the latent code of a generative model; the decoder itself stays as it is.
+
+    Of a decoder that is a function, the modules and tensors that it closes over or names are copied like a module's
+    parts: what is trained later does not change the field.
 
     Args:
         decoder: Maps points (N, D) and one code (L,) to values (N,) or (N, 1).
         latent: The code (L,) to start from; `write_back` stores the edited code in it.
+        output: As for Field.
+        inputs: As for Field; a function here takes points (N, D) and the code (L,).
         level, inside, bounds: As for Field; None takes the decoder's attribute of that name if it has one, else 0,
             "negative" and the cube [-1, 1]^3.
         units: As for Field.
         weights: Names or patterns of the decoder's own parameters to edit together with the code; None edits the code
             alone.
+        check: As for Field.
 
     Raises:
         TypeError: The decoder cannot be called, the code is no floating tensor, or weights are asked of no module.
@@ -55,19 +66,20 @@ def decoder_field(
             raise TypeError(f"weights need a decoder that is a torch module, but it is a {type(decoder).__name__}.")
         patterns = [weights] if isinstance(weights, str) else list(weights)
         chosen = ["latent", *(f"decoder.{pattern}" for pattern in patterns)]
-        both = _WithCode(decoder, latent)
-        return Field(both, parameters=chosen, level=level, inside=side, bounds=bounds, units=units)
-    source = parametrised_by_code(decoder, latent)
-    return Field(source, level=level, inside=side, bounds=bounds, units=units)
+        both = _WithCode(unwrapped(decoder), latent, Form(inputs, output))
+        return Field(both, parameters=chosen, level=level, inside=side, bounds=bounds, units=units, check=check)
+    source = parametrised_by_code(decoder, latent, Form(inputs, output))
+    return Field(source, level=level, inside=side, bounds=bounds, units=units, check=check)
 
 
 class _WithCode(nn.Module):
     """A decoder with its code as one more parameter, which shares the caller's memory."""
 
-    def __init__(self, decoder: nn.Module, latent: Tensor) -> None:
+    def __init__(self, decoder: nn.Module, latent: Tensor, form: Form) -> None:
         super().__init__()
+        self._form = form
         self.latent = nn.Parameter(latent.detach(), requires_grad=False)
         self.decoder = decoder
 
     def forward(self, points: Tensor) -> Tensor:
-        return self.decoder(points, self.latent)
+        return self._form.values(self.decoder(*self._form.arguments(points, self.latent)))

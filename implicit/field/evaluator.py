@@ -6,11 +6,13 @@ import copy
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor, nn
-from torch.func import functional_call
+
+from implicit.field.forms import Form
+from implicit.field.frozen import Frozen
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,20 +51,25 @@ class Parametrisation:
         theta: All edited parameters, one after the other, (P,).
         layout: The blocks of theta, in its order.
         store: Writes a theta to where the parameters came from, in place.
+        live: The caller's own module, None for a function that is none.
+        notes: What a reader should know of how the function was taken in, a sentence each.
     """
 
-    evaluator: Evaluator
+    evaluator: OfModule | OfDecoder
     theta: Tensor
     layout: tuple[Parameter, ...]
     store: Callable[[Tensor], None]
+    live: nn.Module | None = None
+    notes: tuple[str, ...] = ()
 
 
-def parametrised(module: nn.Module, patterns: Iterable[str] | None = None) -> Parametrisation:
+def parametrised(module: nn.Module, patterns: Iterable[str] | None = None, form: Form | None = None) -> Parametrisation:
     """Return a module's function of those of its parameters that fit the patterns, or of all.
 
     Args:
-        module: From points (N, D) to values (N,) or (N, 1). A frozen copy of it is evaluated.
+        module: From points (N, D) to values (N,) or (N, 1), or as the form says. A frozen copy of it is evaluated.
         patterns: Names or shell-style patterns of the parameters; None takes all.
+        form: How the module takes points and where its values are.
 
     Raises:
         TypeError: It is no module, or the patterns are no names.
@@ -74,31 +81,63 @@ def parametrised(module: nn.Module, patterns: Iterable[str] | None = None) -> Pa
             "decoder_field a function of points and a code."
         )
     blocks = _selected(module, patterns)
-    layout = _layout({name: block.shape for name, block in blocks.items()})
+    first = next(iter(blocks.values()))
+    dtype, notes = _working_precision(first.dtype)
+    frozen = Frozen(module, dtype, first.device)
+    copies = {name: frozen.copied(block) for name, block in blocks.items()}
+    assert isinstance(frozen.function, nn.Module)
+    names = {id(parameter): name for name, parameter in frozen.function.named_parameters()}
+    lost = [name for name, found in copies.items() if id(found) not in names]
+    if lost:
+        raise ValueError(
+            f"The parameters {', '.join(lost)} must be tensors of the module itself, but are made anew each time they "
+            "are asked for. Register them as nn.Parameter."
+        )
+    # Two parameters that share their memory are one; the second would be a copy that is written over.
+    kept = {names[id(copies[name])]: block for name, block in reversed(blocks.items())}
+    ordered = {name: kept[name] for name in dict.fromkeys(names[id(copies[name])] for name in blocks)}
+    layout = _layout({name: block.shape for name, block in ordered.items()})
 
     def store(theta: Tensor) -> None:
+        present = {id(parameter) for parameter in module.parameters()}
+        gone = [name for name, block in ordered.items() if id(block) not in present]
+        if gone:
+            raise ValueError(
+                f"write_back must find the parameters that the field was made from, but {', '.join(gone)} are no "
+                "longer in the module: its layers were replaced since. Load field.module.state_dict() instead."
+            )
         with torch.no_grad():
             for block in layout:
-                blocks[block.name].copy_(theta[block.where].view(block.shape))
+                ordered[block.name].copy_(theta[block.where].view(block.shape))
 
-    theta = torch.cat([block.detach().reshape(-1) for block in blocks.values()])
-    return Parametrisation(OfModule(frozen_copy(module), layout), theta, layout, store)
+    theta = torch.cat([block.detach().reshape(-1) for block in ordered.values()]).to(dtype)
+    notes += _of_training(module)
+    return Parametrisation(OfModule(frozen, layout, _frozen_form(form, frozen)), theta, layout, store, module, notes)
 
 
-def parametrised_by_code(decoder: Callable[[Tensor, Tensor], Tensor], latent: Tensor) -> Parametrisation:
+def parametrised_by_code(
+    decoder: Callable[[Tensor, Tensor], Tensor], latent: Tensor, form: Form | None = None
+) -> Parametrisation:
     """Return a decoder's function of its latent code, (L,).
 
     Args:
-        decoder: From points (N, D) and a code (L,) to values (N,) or (N, 1); of a module a frozen copy is evaluated.
+        decoder: From points (N, D) and a code (L,) to values (N,) or (N, 1), or as the form says. A frozen copy of it
+            is evaluated; of a function, round frozen copies of the modules and tensors that it reaches.
         latent: The code to start from; edited ones are stored in it.
+        form: How the decoder takes points and where its values are.
     """
 
     def store(theta: Tensor) -> None:
         with torch.no_grad():
             latent.copy_(theta)
 
-    evaluator = OfDecoder(frozen_copy(decoder) if isinstance(decoder, nn.Module) else decoder)
-    return Parametrisation(evaluator, latent.detach(), _layout({"latent": latent.shape}), store)
+    dtype, notes = _working_precision(latent.dtype)
+    frozen = Frozen(decoder, dtype, latent.device)
+    is_module = isinstance(decoder, nn.Module)
+    notes += _of_training(decoder) if isinstance(decoder, nn.Module) else ()
+    layout = _layout({"latent": latent.shape})
+    evaluator = OfDecoder(frozen, _frozen_form(form, frozen), is_module=is_module)
+    return Parametrisation(evaluator, latent.detach().to(dtype), layout, store, None, notes)
 
 
 class OfModule:
@@ -106,16 +145,46 @@ class OfModule:
 
     takes_code = False
 
-    def __init__(self, module: nn.Module, layout: tuple[Parameter, ...]) -> None:
-        self.module = module
-        self._layout = layout
+    def __init__(self, frozen: Frozen, layout: tuple[Parameter, ...], form: Form) -> None:
+        assert isinstance(frozen.function, nn.Module)
+        self.module: nn.Module = frozen.function
+        self._frozen, self._layout, self._form = frozen, layout, form
+        named = dict(self.module.named_parameters())
+        self._places = [frozen.places(named[block.name]) for block in layout]
+        frozen.forget()
 
     def __call__(self, theta: Tensor, points: Tensor) -> Tensor:
-        edited = {block.name: theta[block.where].view(block.shape) for block in self._layout}
-        return functional_call(self.module, edited, (points,))
+        return _in_precision(self._form.values(self.raw(theta, points)), points)
+
+    def raw(self, theta: Tensor, points: Tensor) -> Any:
+        """Return all that the module gives."""
+        edited = [theta[block.where].view(block.shape) for block in self._layout]
+        return self._frozen(zip(self._places, edited, strict=True), *self._form.arguments(points))
+
+    def in_form(self, form: Form) -> OfModule:
+        """Return the same function with points given and values taken in another way."""
+        other = copy.copy(self)
+        other._form = form
+        return other
+
+    @property
+    def form(self) -> Form:
+        """The form in which points go in and values come out."""
+        return self._form
+
+    def written(self, theta: Tensor) -> nn.Module:
+        """Return a copy of the module with theta written into its parameters."""
+        module = Frozen(self.module).function
+        assert isinstance(module, nn.Module)
+        named = dict(module.named_parameters())
+        with torch.no_grad():
+            for block in self._layout:
+                named[block.name].copy_(theta[block.where].view(block.shape))
+        return module
 
     def to(self, dtype: torch.dtype | None, device: torch.device | str | None) -> OfModule:
-        return OfModule(copy.deepcopy(self.module).to(dtype=dtype, device=device), self._layout)
+        frozen = Frozen(self.module, dtype, device)
+        return OfModule(frozen, self._layout, _frozen_form(self._form, frozen))
 
 
 class OfDecoder:
@@ -123,32 +192,77 @@ class OfDecoder:
 
     takes_code = True
 
-    def __init__(self, decoder: Callable[[Tensor, Tensor], Tensor]) -> None:
-        self.module = decoder if isinstance(decoder, nn.Module) else None
-        self._decoder = decoder
+    def __init__(self, frozen: Frozen, form: Form, *, is_module: bool) -> None:
+        self.module: nn.Module | None = frozen.function if is_module else None  # type: ignore[assignment]
+        self._frozen, self._form = frozen, form
+        frozen.forget()
 
     def __call__(self, theta: Tensor, points: Tensor) -> Tensor:
-        return self._decoder(points, theta)
+        return _in_precision(self._form.values(self.raw(theta, points)), points)
+
+    def raw(self, theta: Tensor, points: Tensor) -> Any:
+        """Return all that the decoder gives."""
+        return self._frozen((), *self._form.arguments(points, theta))
+
+    def in_form(self, form: Form) -> OfDecoder:
+        """Return the same function with points given and values taken in another way."""
+        other = copy.copy(self)
+        other._form = form
+        return other
+
+    @property
+    def form(self) -> Form:
+        """The form in which points go in and values come out."""
+        return self._form
+
+    def written(self, theta: Tensor) -> nn.Module | None:
+        """Return the decoder, which holds nothing of the code."""
+        return self.module
 
     def to(self, dtype: torch.dtype | None, device: torch.device | str | None) -> OfDecoder:
-        return self if self.module is None else OfDecoder(copy.deepcopy(self.module).to(dtype=dtype, device=device))
+        frozen = Frozen(self._frozen.function, dtype, device)
+        return OfDecoder(frozen, _frozen_form(self._form, frozen), is_module=self.module is not None)
 
 
-def frozen_copy(module: nn.Module) -> nn.Module:
-    """Return a copy in evaluation mode without gradients, detached from the caller's module."""
-    # The older weight norm keeps its product, a tensor with a history, as a plain attribute: deepcopy refuses those.
-    derived = {
-        id(value): value.detach().clone()
-        for part in module.modules()
-        for value in part.__dict__.values()
-        if isinstance(value, Tensor) and not value.is_leaf
-    }
-    return copy.deepcopy(module, derived).eval().requires_grad_(False)
+def _frozen_form(form: Form | None, frozen: Frozen) -> Form:
+    """Return the form with its functions frozen like the module or decoder."""
+    return Form() if form is None else Form(frozen.also(form.inputs), frozen.also(form.output))
+
+
+def _in_precision(values: Any, points: Tensor) -> Any:
+    """Return values in the precision of the points, where they are real numbers at all."""
+    if isinstance(values, Tensor) and values.is_floating_point() and values.dtype != points.dtype:
+        return values.to(points.dtype)
+    return values
+
+
+def _working_precision(dtype: torch.dtype) -> tuple[torch.dtype, tuple[str, ...]]:
+    """Return the precision to work in, and a note where it is not that of the parameters."""
+    if dtype.itemsize >= 4:
+        return dtype, ()
+    name = str(dtype).removeprefix("torch.")
+    return torch.float32, (
+        f"The parameters are {name}, too coarse to place a surface: the field works on float32 copies, and write_back "
+        f"rounds them to {name}.",
+    )
+
+
+def _of_training(module: nn.Module) -> tuple[str, ...]:
+    """Return a note where a module in training mode is taken in evaluation mode and that matters."""
+    kinds = (nn.modules.dropout._DropoutNd, nn.modules.batchnorm._NormBase)
+    found = sorted({type(part).__name__ for part in module.modules() if part.training and isinstance(part, kinds)})
+    if not found:
+        return ()
+    return (
+        f"The module is in training mode and has {', '.join(found)}: the field takes it in evaluation mode, with "
+        "dropout off and running statistics fixed.",
+    )
 
 
 def _selected(module: nn.Module, patterns: Iterable[str] | None) -> dict[str, nn.Parameter]:
     """Return the parameters to edit, by name, all of one floating dtype on one device."""
     named = dict(module.named_parameters())
+    _require_made(module)
     if patterns is not None:
         if not isinstance(patterns, Iterable):
             raise TypeError(f"parameters must be names or patterns of names, but are {patterns!r}.")
@@ -167,11 +281,21 @@ def _selected(module: nn.Module, patterns: Iterable[str] | None) -> dict[str, nn
         raise ValueError(
             f"The parameters must share one floating dtype and device, but have {sorted(map(str, kinds))}."
         )
-    if next(iter(kinds))[1].type == "meta":
-        raise ValueError(
-            "The parameters must hold numbers, but are on the meta device. Load the module to the CPU or a GPU."
-        )
     return named
+
+
+def _require_made(module: nn.Module) -> None:
+    """Refuse a module whose tensors hold no numbers yet."""
+    for name, tensor in [*module.named_parameters(), *module.named_buffers()]:
+        if nn.parameter.is_lazy(tensor):
+            raise ValueError(f"The module must be made, but {name} is lazy. Call it once with points, then give it.")
+        if tensor.is_meta:
+            raise ValueError(
+                f"The parameters must hold numbers, but {name} is on the meta device. Load the module to the CPU or a "
+                "GPU."
+            )
+        if tensor.layout != torch.strided:
+            raise ValueError(f"The parameters must be dense, but {name} is {tensor.layout}. Use {name}.to_dense().")
 
 
 def _layout(shapes: dict[str, torch.Size]) -> tuple[Parameter, ...]:

@@ -10,7 +10,7 @@ import copy
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
@@ -18,6 +18,10 @@ from torch import Tensor, nn
 
 from implicit.arguments import kind_of, require_choice, require_finite, require_numbers, require_positive
 from implicit.field.evaluator import Parameter, Parametrisation, parametrised
+from implicit.field.examination import examine
+from implicit.field.forms import Form, Inputs, Output
+from implicit.field.smoothness import second_derivatives_missing
+from implicit.field.torch_errors import in_our_words
 
 Bounds = tuple[Sequence[float], Sequence[float]]
 CUBE: Bounds = ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
@@ -60,34 +64,59 @@ class SurfaceError(ValueError):
 class Field:
     """A function f(x; theta) whose zero set is a surface (3D) or a curve (2D), and the parameters to edit.
 
-    The field keeps a copy of the module in evaluation mode (dropout off, batch norm fixed), so editing never
-    disturbs the caller's module until `write_back` stores the edited parameters in it.
+    The field keeps a frozen copy of the module in evaluation mode (dropout off, batch norm fixed), so editing never
+    disturbs the caller's module until `write_back` stores the edited parameters in it. What runs it compiled or on
+    several devices is taken off. Buffers and other tensors follow the precision of the parameters; modules in float16
+    or bfloat16 are worked on in float32.
 
     Args:
         module: Any differentiable module from points (N, D) to values (N,) or (N, 1), each point by itself. Of a
             decoder with a code make a field by decoder_field, which gives a Parametrisation here.
+        output: The place of the values where the module gives more: the number of a channel or of an entry of a tuple,
+            the name of an entry of a dictionary or of an attribute, several of these one after the other, or a
+            function from what the module gives to N values. None takes all.
+        inputs: The shape in which the module takes points: "batched" (1, N, D), "columns" (D, N), "batched columns"
+            (1, D, N), or a function from points (N, D) to its argument, or to the tuple of its arguments. None gives
+            points (N, D).
         parameters: Names or shell-style patterns of the parameters to edit; None edits all of them.
         level: The value of the module on the surface, e.g. 0.5 for an occupancy.
         inside: "negative" where the module is below the level inside, "positive" where it is above it.
         bounds: Lower and upper corner of a box that holds the surface; its length gives the dimension D.
         units: How the field's coordinates relate to the user's.
+        check: False leaves out the comparison of derivatives with differences, and of the values at points alone with
+            those in company, at a few points.
+
+    Attributes:
+        notes: What a reader should know of how the module was taken in, a sentence each: its precision, its training
+            mode, parameters that do not move the surface.
+        findings: What was found of the function itself when it was asked, such as whether torch can vectorise it;
+            shared by the same field at other parameters.
 
     Raises:
         ValueError: The module has no such parameters, or they differ in dtype or device or are not finite.
-        TypeError: The module does not map (N, D) points to N values.
+        TypeError: The module does not map (N, D) points to N values, each of its own point and the same each time, or
+            its derivatives are not those of its values.
     """
 
     def __init__(
         self,
         module: nn.Module | Parametrisation,
         *,
+        output: Output | None = None,
+        inputs: Inputs | None = None,
         parameters: Iterable[str] | None = None,
         level: float = 0.0,
         inside: Literal["negative", "positive"] = "negative",
         bounds: Bounds = CUBE,
         units: Units | None = None,
+        check: bool = True,
     ) -> None:
-        source = module if isinstance(module, Parametrisation) else parametrised(module, parameters)
+        if torch.is_inference_mode_enabled():
+            raise TypeError("A field needs gradients, but torch.inference_mode is on. Leave it, or use torch.no_grad.")
+        if isinstance(module, Parametrisation):
+            source = module
+        else:
+            source = parametrised(module, parameters, Form(inputs, output))
         theta = source.theta
         require_choice("inside", inside, ("negative", "positive"))
         require_finite("level", level)
@@ -114,22 +143,13 @@ class Field:
         self.sign: float = 1.0 if inside == "negative" else -1.0
         self._evaluator = source.evaluator
         self._store = source.store
-        self._check_shape_of_values()
-
-    def _check_shape_of_values(self) -> None:
-        """Evaluate three points, so that a foreign module is refused here and not in a long run."""
-        probe = self.bounds.mean(dim=0) + torch.zeros(3, self.dimension, dtype=self.dtype, device=self.device)
-        with torch.no_grad():
-            try:
-                values = self._evaluator(self.theta, probe)
-            except Exception as error:
-                raise TypeError(
-                    f"The module or decoder could not be evaluated at points of shape (3, {self.dimension}), dtype "
-                    f"{self.dtype}: {error}. It must map points (N, {self.dimension}) to N values."
-                ) from error
-        if not isinstance(values, Tensor) or values.numel() != 3 or not values.is_floating_point():
-            came = f"{tuple(values.shape)}, {values.dtype}" if isinstance(values, Tensor) else type(values).__name__
-            raise TypeError(f"The module must map 3 points to 3 real values, but gave {came}. Wrap it so that it does.")
+        self.notes: tuple[str, ...] = source.notes
+        self._written: nn.Module | None = None
+        self.findings: dict[str, Any] = {}
+        near, notes = examine(self, source.live, derivatives=check)
+        self.findings["near"] = near
+        if parameters is not None:
+            self.notes += notes
 
     def __repr__(self) -> str:
         named = ("inside", "bounds", "units")
@@ -154,14 +174,20 @@ class Field:
         ]
         if scale != 1 or any(offset):
             facts.append(("units", f"{scale:.6g} x + {offset}"))
+        facts += [("note", note) for note in self.notes]
         return facts
 
     # What it is
 
     @property
     def module(self) -> nn.Module | None:
-        """The module that is evaluated, frozen, its own parameters as they were; None for a function that is none."""
-        return self._evaluator.module
+        """A copy of the module with the field's parameters in it, frozen; None for a function that is no module.
+
+        Its state_dict is that of the edited module, by the names within what ran it compiled or on several devices.
+        """
+        if self._written is None:
+            self._written = self._evaluator.written(self.theta)
+        return self._written
 
     @property
     def takes_code(self) -> bool:
@@ -192,7 +218,8 @@ class Field:
 
     def function(self, theta: Float[Tensor, " p"], points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
         """Return f(points; theta), differentiable in both arguments and usable under torch.func transforms."""
-        return (self._evaluator(theta, points).reshape(points.shape[0]) - self.level) * self.sign
+        with in_our_words(f"be evaluated at points of shape {tuple(points.shape)}"):
+            return (self._evaluator(theta, points).reshape(points.shape[0]) - self.level) * self.sign
 
     def value(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
         """Return f at the points, in chunks and without a graph; negative inside."""
@@ -220,20 +247,40 @@ class Field:
             for part in _chunks(points):
                 x = part.detach().requires_grad_()
                 f = self.function(self.theta, x)
-                (g,) = torch.autograd.grad(f.sum(), x)
+                with in_our_words("be differentiated by the points"):
+                    (g,) = torch.autograd.grad(f.sum(), x)
                 values.append(f.detach())
                 gradients.append(g)
         return torch.cat(values), torch.cat(gradients)
 
     def hessian(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n d d"]:
-        """Return d2f/dx2 at the points, symmetric."""
+        """Return d2f/dx2 at the points, symmetric.
+
+        Raises:
+            ValueError: The module's second derivatives are missing or wrong.
+        """
         return self.gradient_and_hessian(points)[1]
 
     def gradient_and_hessian(self, points: Float[Tensor, "n d"]) -> tuple[Float[Tensor, "n d"], Float[Tensor, "n d d"]]:
-        """Return df/dx and d2f/dx2 at the points, in one pass."""
+        """Return df/dx and d2f/dx2 at the points, in one pass.
+
+        Raises:
+            ValueError: The module's second derivatives are missing or wrong.
+        """
         points = self.require_points(points)
+        if missing := self._second_derivatives_missing(points):
+            raise ValueError(
+                f"The field has no second derivatives, and so no curvature of this kind ({missing}). Use operations of "
+                "plain torch in the module, or what needs first derivatives alone, such as geometric_edit."
+            )
+        return self.raw_gradient_and_hessian(points)
+
+    def raw_gradient_and_hessian(
+        self, points: Float[Tensor, "n d"]
+    ) -> tuple[Float[Tensor, "n d"], Float[Tensor, "n d d"]]:
+        """Return df/dx and d2f/dx2 as the module gives them, with zeros where it gives none."""
         gradients, hessians = [], []
-        with torch.enable_grad():
+        with torch.enable_grad(), in_our_words("be differentiated twice by the points"):
             for part in _chunks(points):
                 x = part.detach().requires_grad_()
                 (g,) = torch.autograd.grad(self.function(self.theta, x).sum(), x, create_graph=True)
@@ -247,6 +294,19 @@ class Field:
                 gradients.append(g.detach())
                 hessians.append((h + h.transpose(1, 2)) / 2)
         return torch.cat(gradients), torch.cat(hessians)
+
+    @property
+    def twice_differentiable(self) -> bool:
+        """True where second derivatives are those of the gradient, measured once, near the surface.
+
+        A piecewise linear field's are: zero. For whether its gradient jumps see `gradient_jumps`.
+        """
+        return not self._second_derivatives_missing(self.findings["near"])
+
+    def _second_derivatives_missing(self, points: Tensor) -> str:
+        if "missing" not in self.findings and len(points):
+            self.findings["missing"] = second_derivatives_missing(self, points)
+        return str(self.findings.get("missing", ""))
 
     def normal(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
         """Return the outward unit normals df/dx / |df/dx|.
@@ -285,6 +345,7 @@ class Field:
             raise ValueError(f"theta must be a tensor of shape {tuple(self.theta.shape)}, but is {came}.")
         other = copy.copy(self)
         other.theta = theta.detach().to(self.theta).clone()
+        other._written = None
         return other
 
     def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> Field:
@@ -301,10 +362,18 @@ class Field:
         other.theta = self.theta.to(dtype=dtype, device=device)
         other.bounds = self.bounds.to(dtype=dtype, device=device)
         other._evaluator = self._evaluator.to(dtype, device)
+        other._written = None
+        other.findings = {"near": self.findings["near"].to(other.theta)}
+        if "missing" in self.findings:
+            other.findings["missing"] = self.findings["missing"]
         return other
 
     def write_back(self) -> None:
-        """Store theta in the module (or latent code) that the field was made from, in place."""
+        """Store theta in the module (or latent code) that the field was made from, in place.
+
+        Raises:
+            ValueError: The module no longer has those parameters.
+        """
         self._store(self.theta)
 
     def require_points(self, points: Tensor, name: str = "points") -> Tensor:

@@ -1,4 +1,4 @@
-"""What a fit trains, in coordinates u of [-1, 1]^D: a new network of ours, or a field that someone brings.
+"""Subjects that a fit trains, in coordinates u of [-1, 1]^D: a new network of ours, or a field that someone brings.
 
     x = middle + half u,     f(x) = half g(u)
 

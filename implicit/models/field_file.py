@@ -11,7 +11,6 @@ written is read back first: a field whose file would be another shape is refused
 
 from __future__ import annotations
 
-import copy
 import json
 import zipfile
 from collections.abc import Callable, Mapping
@@ -24,6 +23,7 @@ from torch import Tensor, nn
 
 from implicit.field.decoder import decoder_field
 from implicit.field.field import Field, Units, require_field
+from implicit.field.frozen import Frozen
 from implicit.files import as_path, replace_file
 from implicit.models.named_code import FORMS, build_module, named_function, split_name
 from implicit.models.registry import build, is_registered
@@ -381,27 +381,12 @@ def _assembled(
 
 def _made(header: Mapping[str, Any], made_by: Callable[..., nn.Module] | nn.Module | None) -> nn.Module:
     if isinstance(made_by, nn.Module):
-        return _copied(made_by)
+        copied = Frozen(made_by).function
+        assert isinstance(copied, nn.Module)
+        return copied
     if made_by is None:
         return build(header["architecture"])
     return build_module(made_by, header["builder"]["arguments"] if "builder" in header else {})
-
-
-def _copied(module: nn.Module) -> nn.Module:
-    """Return a copy of a module to be filled."""
-    # The older weight norm keeps its product, a tensor with a history, as a plain attribute: deepcopy refuses those.
-    derived = {
-        id(value): value.detach().clone()
-        for part in module.modules()
-        for value in part.__dict__.values()
-        if isinstance(value, Tensor) and not value.is_leaf
-    }
-    try:
-        return copy.deepcopy(module, derived)
-    except Exception as error:
-        raise ValueError(
-            f"The {type(module).__name__} cannot be copied ({error}). Give the function that builds it instead."
-        ) from error
 
 
 @torch.no_grad()

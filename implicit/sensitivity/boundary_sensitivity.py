@@ -10,7 +10,6 @@ change, `adjoint` that of its transpose with weights at the points.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 
 import torch
@@ -20,7 +19,9 @@ from torch.func import grad, grad_and_value, jvp, vmap
 
 from implicit.arguments import require_tensor
 from implicit.field.field import CHUNK, Field, require_field
+from implicit.field.torch_errors import in_our_words
 from implicit.sensitivity import closed_form
+from implicit.sensitivity.point_by_point import product_by_backward_passes, rows_point_by_point, vectorised
 
 # Numbers in the largest block of B made at once, 256 MB in float64: enough rows for the symmetric product, whose
 # every call reads and writes the whole normal matrix.
@@ -57,10 +58,9 @@ def parameter_gradient(field: Field, points: Float[Tensor, "n d"]) -> Float[Tens
     """Return df/dtheta at each point."""
     if closed_form.has_closed_form(field):
         return closed_form.gradient(field, points)
-    try:
-        return vmap(grad(_at_one_point(field)), in_dims=(None, 0))(field.theta, points)
-    except (RuntimeError, NotImplementedError) as error:
-        return _one_by_one(field, points, error)[:, 0]
+    gradient = vmap(grad(_at_one_point(field)), in_dims=(None, 0))
+    rows = vectorised(field, "rows", lambda: gradient(field.theta, points))
+    return rows_point_by_point(field, points)[:, 0] if rows is None else rows
 
 
 def value_and_gradients(
@@ -69,11 +69,10 @@ def value_and_gradients(
     """Return f, df/dx and df/dtheta at each point, by one forward and one backward pass where torch can."""
     if not closed_form.has_closed_form(field):
         both = vmap(grad_and_value(_at_one_point(field), argnums=(0, 1)), in_dims=(None, 0))
-        try:
-            (of_theta, of_x), values = both(field.theta, points)
+        found = vectorised(field, "rows", lambda: both(field.theta, points))
+        if found is not None:
+            (of_theta, of_x), values = found
             return values, of_x, of_theta
-        except (RuntimeError, NotImplementedError):
-            pass  # some modules refuse vmap; the parts below take those too
     values, gradients = field.value_and_gradient(points)
     return values, gradients, parameter_gradient(field, points)
 
@@ -106,16 +105,16 @@ def normal_displacement(
 
 def _directional(field: Field, points: Tensor, d_theta: Tensor) -> Tensor:
     """Return df/dtheta . d_theta at each point."""
-    try:
+    if closed_form.fits(field, len(points)):
+        return closed_form.factors(field, points).times(d_theta)
+
+    def moved() -> Tensor:
         return jvp(lambda theta: field.function(theta, points), (field.theta,), (d_theta,))[1]
-    except NotImplementedError:
-        # Some layers (weight norm) have no forward derivative. The backward pass is linear in its weights w, so
-        # the derivative of (B^T w) . d_theta by w is B d_theta, whatever w.
-        theta = field.theta.detach().requires_grad_()
-        with torch.enable_grad():
-            w = torch.zeros_like(points[:, 0]).requires_grad_()
-            (back,) = torch.autograd.grad(field.function(theta, points) @ w, theta, create_graph=True)
-            return torch.autograd.grad(back @ d_theta, w)[0]
+
+    change = vectorised(field, "product", moved)
+    if change is None:  # some layers (weight norm) have no forward derivative
+        change = product_by_backward_passes(field, points, d_theta)
+    return parameter_gradient(field, points) @ d_theta if change is None else change
 
 
 def adjoint(
@@ -143,7 +142,7 @@ def adjoint(
     scaled = -weights / lengths
     total = torch.zeros_like(field.theta)
     theta = field.theta.detach().requires_grad_()
-    with torch.enable_grad():
+    with torch.enable_grad(), in_our_words("be differentiated by its parameters"):
         for part, share in zip(points.split(CHUNK), scaled.split(CHUNK), strict=True):
             (gradient,) = torch.autograd.grad(field.function(theta, part) @ share, theta)
             total += gradient
@@ -161,35 +160,11 @@ def parameter_gradient_and_slope(field: Field, points: Float[Tensor, "n d"]) -> 
 
     along = vmap(vmap(one, in_dims=(None, None, 0)), in_dims=(None, 0, None))
     directions = torch.eye(field.dimension, dtype=points.dtype, device=points.device)
-    try:
-        values, slopes = along(field.theta, points, directions)
-    except (RuntimeError, NotImplementedError) as error:
-        return _one_by_one(field, points, error)
+    found = vectorised(field, "slopes", lambda: along(field.theta, points, directions))
+    if found is None:
+        return rows_point_by_point(field, points, slopes=True)
+    values, slopes = found
     return torch.cat([values[:, :1], slopes], dim=1)
-
-
-def _one_by_one(field: Field, points: Tensor, error: Exception) -> Tensor:
-    """Return df/dtheta and its slopes by ordinary backward passes, for modules that vmap cannot take."""
-    warnings.warn(
-        f"The module cannot be vectorised over points ({str(error).splitlines()[0]}), so they are differentiated one "
-        "by one, which is slow. In-place operations and data-dependent branches are the usual cause.",
-        RuntimeWarning,
-        stacklevel=4,
-    )
-    both = []
-    with torch.enable_grad():
-        theta = field.theta.detach().requires_grad_()
-        for point in points:
-            x = point.detach()[None].requires_grad_()
-            f = field.function(theta, x)[0]
-            (value,) = torch.autograd.grad(f, theta, retain_graph=True)
-            (gradient,) = torch.autograd.grad(f, x, create_graph=True)
-            rows = [
-                torch.autograd.grad(g, theta, retain_graph=True, allow_unused=True)[0] if g.requires_grad else None
-                for g in gradient[0]
-            ]
-            both.append(torch.stack([value, *(torch.zeros_like(theta) if row is None else row for row in rows)]))
-    return torch.stack(both)
 
 
 def row_blocks(points: Tensor, columns: int) -> Iterator[Tensor]:

@@ -3,7 +3,8 @@
     volume integral  H = int_inside h dV     dH/dtheta = int h b dA                       [paper, eq. 7]
     surface integral G = int_surface g dA    dG/dtheta = int (dg/dn + kappa g) b dA       [paper, eq. 7]
 
-b is the boundary sensitivity, kappa = div n. Volume is h = 1, area is g = 1. In the plane they are area and
+b is the boundary sensitivity, kappa = div n, in weak form where the field has no second derivatives that tell it
+(implicit.sensitivity.weak_curvature). Volume is h = 1, area is g = 1. In the plane they are area and
 length. Any of them can be held during an edit, at a value or within a bound.
 
 A quadrature whose points lie on curved cells is off by the cells' distance delta = -f / |df/dx| from the surface. One
@@ -29,6 +30,8 @@ from torch import Tensor
 from implicit.arguments import require_callable, require_choice, require_finite, require_whole
 from implicit.field.field import Field
 from implicit.sensitivity.boundary_sensitivity import adjoint
+from implicit.sensitivity.pointwise_curvature import normal_turning
+from implicit.sensitivity.weak_curvature import surface_mean_curvature
 from implicit.surface.extraction import require_resolution
 from implicit.surface.quadrature import SurfaceSample, require_sample, surface_quadrature
 
@@ -117,7 +120,7 @@ class Area(Functional):
         return float(off.surface_weights(field, sample).double().sum())
 
     def shape_gradient(self, field: Field, sample: SurfaceSample) -> Tensor:
-        return field.mean_curvature(sample.points)
+        return surface_mean_curvature(field, sample.points)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -191,7 +194,7 @@ class SurfaceIntegral(Functional):
             x = sample.points.detach().requires_grad_()
             values = _density(self.g, x, "g")
             slope = torch.autograd.grad(values.sum(), x)[0] if values.requires_grad else torch.zeros_like(x)
-        return (slope * sample.normals).sum(dim=1) + field.mean_curvature(sample.points) * values.detach()
+        return (slope * sample.normals).sum(dim=1) + surface_mean_curvature(field, sample.points) * values.detach()
 
 
 @dataclass(frozen=True)
@@ -257,6 +260,8 @@ class _Distance:
 
     def surface_weights(self, field: Field, sample: SurfaceSample) -> Tensor:
         """Return the sample's weights on the surface."""
+        if not normal_turning(field, sample.points).is_smooth:
+            return self.weights  # between its edges such a surface is as good as flat
         return self.weights * (1 + field.mean_curvature(sample.points) * self.distance)
 
 

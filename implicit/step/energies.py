@@ -17,13 +17,16 @@ from typing import Protocol
 
 import torch
 from jaxtyping import Float
+from scipy.sparse import csr_array
 from torch import Tensor
 
 from implicit.field.field import Field
 from implicit.sensitivity.boundary_sensitivity import adjoint, normal_displacement
 from implicit.sensitivity.closed_form import factors, fits
+from implicit.sensitivity.sparse_rows import sparse_parameter_gradient
 from implicit.step.deformation import DeformationSpace
 from implicit.step.least_squares import Operator, Rows
+from implicit.step.sparse_equations import SparseRows
 
 
 class Energy(Protocol):
@@ -78,6 +81,15 @@ class FieldTarget:
             if self.tied is not None:
                 rows += torch.cat([part for _, part in space.normal_rows(self.tied[where])])
             yield Rows(rows, self.target[where], self.weights[where])
+
+    def sparse_rows(self, space: DeformationSpace) -> SparseRows:
+        """Return the same equations with a sparse matrix, for fields in which few parameters act at a point."""
+        field = space.field
+        matrix = _divided(sparse_parameter_gradient(field, self.points), self.scale)
+        if self.tied is not None:
+            lengths = field.gradient_length(field.gradient(self.tied))
+            matrix = csr_array(matrix - _divided(sparse_parameter_gradient(field, self.tied), lengths))
+        return SparseRows(matrix, self.target, self.weights)
 
     def operator(self, space: DeformationSpace) -> Operator:
         """Return the same equations by their products, for networks whose rows do not fit in memory."""
@@ -234,6 +246,10 @@ def _shown(energy: NormalTarget | FieldTarget | VectorTarget | Smoothness | Kill
     points, weight = energy.points, float(energy.weights.sum())
     dtype = str(points.dtype).removeprefix("torch.")
     return f"{type(energy).__name__}({len(points)} points, {dtype}, total weight {weight:.3g}, {words})"
+
+
+def _divided(rows: csr_array, by: Float[Tensor, " n"]) -> csr_array:
+    return csr_array(rows.multiply(1 / by.double().cpu().numpy()[:, None]))
 
 
 def _largest(values: Tensor) -> float:

@@ -15,6 +15,7 @@ constraints and knows the least change that meets new ones:
 | with a matrix, fewer | dual: the system with one unknown an equation |
 | by their products, with a Gram matrix that is cheap | dual, up to DENSE_LIMIT of them |
 | by their products otherwise | nothing: conjugate gradients |
+| with sparse matrices | the smaller of primal and dual, among the unknowns that appear |
 
 Constraints enter by their multipliers (implicit.step.kkt), so they hold to rounding in each. This file knows no
 geometry.
@@ -33,6 +34,7 @@ from torch import Tensor
 from implicit.step.equations import DENSE_LIMIT, Equations, KeptEquations, NormalMatrix, Operator, Rows
 from implicit.step.factors import Factor
 from implicit.step.kkt import least_change
+from implicit.step.sparse_equations import SparseEquations, SparseRows
 
 __all__ = ["DENSE_LIMIT", "LeastSquares", "Factorised", "Solution", "SolveStatus", "Rows", "Operator"]
 
@@ -87,23 +89,32 @@ class LeastSquares:
         like: A tensor whose dtype and device the equations have.
         tolerance: Relative residual at which conjugate gradients stop; None is 1e-12 in float64, 1e-5 in float32.
         seed: Seed of the estimates of trace and rank.
+        sparse: Whether most unknowns appear in few equations or in none, so that only those that do are factored.
     """
 
-    def __init__(self, size: int, like: Tensor, *, tolerance: float | None = None, seed: int = 0) -> None:
+    def __init__(
+        self, size: int, like: Tensor, *, tolerance: float | None = None, seed: int = 0, sparse: bool = False
+    ) -> None:
         if tolerance is None:
             tolerance = 1e-12 if like.dtype == torch.float64 else 1e-5
         self.size = size
         self._like = like
-        self._equations: Equations = KeptEquations(size, like, tolerance, seed)
+        self._equations: Equations = (SparseEquations if sparse else KeptEquations)(size, like, tolerance, seed)
         self._trace: float | None = None  # once it is known, nothing can be added
 
-    def add(self, rows: Rows) -> None:
+    def add(self, rows: Rows | SparseRows) -> None:
         """Add a block of weighted equations.
 
         Raises:
+            TypeError: Sparse ones are added to a system that is not.
             RuntimeError: The equations have been factored, or their trace taken.
         """
         self._require_open()
+        if isinstance(rows, SparseRows):
+            if not isinstance(self._equations, SparseEquations):
+                raise TypeError("Sparse equations need a sparse system; make it by LeastSquares(..., sparse=True).")
+            self._equations.add(rows)
+            return
         self._equations.add(rows)
         if isinstance(self._equations, KeptEquations) and self._equations.is_tall:
             self._equations = NormalMatrix.of(self._equations)

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from implicit.field.field import Field
 from implicit.sensitivity.closed_form import has_closed_form
+from implicit.sensitivity.sparse_rows import has_sparse_rows
 from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import Energy, FieldTarget, NormalTarget, united
 from implicit.step.least_squares import DENSE_LIMIT, LeastSquares
@@ -103,12 +104,17 @@ def predicted_displacement(
 
 
 def assemble(problem: StepProblem) -> LeastSquares:
-    """Return the step's least squares: its rows, or their products where these cost less or the rows would not fit.
+    """Return the step's least squares: its rows, sparse or dense, or their products where they cost less or fit alone.
 
     Raises:
         ValueError: There are too many unknowns for rows, and an energy that has no products.
     """
     space, energies = problem.space, problem.energies
+    if _is_sparse(problem):
+        system = LeastSquares(space.size, space.field.theta, tolerance=1e-8, sparse=True)
+        for target in united(space.field, _targets(problem)):
+            system.add(target.sparse_rows(space))
+        return system
     if space.size <= DENSE_LIMIT and not _is_cheaper_by_products(problem):
         system = LeastSquares(space.size, space.field.theta)
         for energy in energies:
@@ -117,7 +123,6 @@ def assemble(problem: StepProblem) -> LeastSquares:
         return system
     # Each step sees what the last one missed, so 1e-4 is enough.
     system = LeastSquares(space.size, space.field.theta, tolerance=1e-4)
-    targets: list[NormalTarget | FieldTarget] = []
     for energy in energies:
         if not isinstance(energy, (NormalTarget, FieldTarget)):
             raise ValueError(
@@ -125,10 +130,22 @@ def assemble(problem: StepProblem) -> LeastSquares:
                 f"can be solved for, but the step has a {type(energy).__name__} energy. Edit fewer parameters "
                 '(Field(parameters=...)), or smooth with method="explicit".'
             )
-        targets.append(energy)
-    for target in united(space.field, targets):
+    for target in united(space.field, _targets(problem)):
         system.add_operator(target.operator(space))
     return system
+
+
+def _targets(problem: StepProblem) -> list[NormalTarget | FieldTarget]:
+    """Return the energies that are targets along the normal or of the field."""
+    return [energy for energy in problem.energies if isinstance(energy, (NormalTarget, FieldTarget))]
+
+
+def _is_sparse(problem: StepProblem) -> bool:
+    """Return whether all are targets of a field in which few parameters act at a point (features on a grid)."""
+    space, targets = problem.space, _targets(problem)
+    if space.directions is not None or space.tangential is not None or not targets:
+        return False
+    return len(targets) == len(problem.energies) and has_sparse_rows(space.field, targets[0].points)
 
 
 def _is_cheaper_by_products(problem: StepProblem) -> bool:

@@ -1,33 +1,44 @@
 """The zero set as a mesh (3D) or as line segments (2D): grid, marching, then Newton to the true surface.
 
+Each vertex starts on an edge of the grid at whose ends f has different signs, so where Newton's method fails a bracket
+finds the zero that every continuous field has there.
+
 Conventions: faces wind so that their normals point out of f < 0; segments have the inside on their left.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy.typing import NDArray
 from torch import Tensor
 
 from implicit.arguments import require_positive, require_whole
 from implicit.field.field import Field, SurfaceError, require_field
 from implicit.surface.marching import MEMORY_LIMIT, Grid, march
-from implicit.surface.projection import newton_to_surface
+from implicit.surface.projection import Placement, discontinuous, in_working_precision, place_on_surface
 
 # More cells along a side than any memory holds in three dimensions, or in two.
 MOST_CELLS = 1_000_000
+
+# Share of the vertices that may jump over f = 0, or have nowhere to go, before the field is at fault.
+LOST = 0.01
 
 Vertices = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 
 def extract_mesh(field: Field, resolution: int = 128, *, memory_limit: float = MEMORY_LIMIT) -> tuple[Vertices, Faces]:
-    """Return the surface as a closed triangle mesh, its vertices placed on f = 0 by Newton's method.
+    """Return the surface as a closed triangle mesh, its vertices placed on f = 0.
+
+    The field need only be continuous: where its gradient jumps or vanishes the vertices are found by brackets, each on
+    the edge of the grid that the surface crosses.
 
     Args:
-        field: A field in 3D (triangles), or in 2D (segments).
+        field: A field in 3D (triangles), or in 2D (segments). Of half precision it is taken in single.
         resolution: Cells along the longest side of the bounds, at least 4.
         memory_limit: Bytes that the grid may take; a finer one is refused before any work.
 
@@ -36,7 +47,7 @@ def extract_mesh(field: Field, resolution: int = 128, *, memory_limit: float = M
         with outward normals, or in 2D segments with the inside on their left.
 
     Raises:
-        SurfaceError: There is no zero set in the bounds, it leaves them, or the gradient vanishes on it.
+        SurfaceError: There is no zero set in the bounds, it leaves them, or f jumps over zero instead of crossing it.
         MemoryError: The grid would take more than memory_limit.
     """
     points, faces = marched_surface(field, resolution, memory_limit)
@@ -51,22 +62,35 @@ def require_resolution(name: str, cells: int) -> None:
 def marched_surface(
     field: Field, resolution: int, memory_limit: float = MEMORY_LIMIT
 ) -> tuple[Float[Tensor, "n d"], Tensor]:
-    """Return the mesh of extract_mesh as tensors of the field's dtype and device."""
+    """Return the mesh of extract_mesh as tensors on the field's device, in its dtype but at least single precision."""
+    placement, faces = placed_vertices(field, resolution, memory_limit)
+    return placement.points, faces
+
+
+def placed_vertices(
+    field: Field, resolution: int, memory_limit: float = MEMORY_LIMIT
+) -> tuple[Placement, Int[Tensor, "m d"]]:
+    """Return the vertices of marched_surface with the gradients there, and its faces."""
     require_field(field)
     require_resolution("resolution", resolution)
     require_positive("memory_limit", memory_limit if memory_limit != float("inf") else 1.0, "number of bytes")
+    field = in_working_precision(field)
     grid = Grid.over(field, resolution)
     grid.require_memory(memory_limit)
-    start, faces = march(field, grid)
-    points, arrived = newton_to_surface(field, start, reach=2 * grid.cell)
-    if not bool(arrived.all()):
-        # A vertex between two sheets closer than a cell may have nowhere to go; it keeps its place on the grid edge,
-        # which is within a cell of the surface, unless so many fail that the field itself is at fault.
-        lost = int((~arrived).sum())
-        if lost > 0.01 * len(points):
+    start = march(field, grid)
+    found = place_on_surface(field, start.points, reach=2 * grid.cell, segments=(start.lower, start.upper))
+    if int(found.jumps.sum()) > LOST * len(start.points):
+        raise discontinuous(field, found)
+    if not bool((found.arrived | found.jumps).all()):
+        # Signs are told in single precision: an end of an edge may lie on the surface but for rounding. What else has
+        # nowhere to go lies between two sheets closer than a cell, and keeps its place.
+        lost = int((~found.arrived & ~found.jumps).sum())
+        if lost > LOST * len(start.points):
             raise SurfaceError(
-                f"{lost} of {len(points)} surface points could not be placed on f = 0: the gradient vanishes or jumps "
-                "there. Refit the field, or extract at a higher resolution."
+                f"{lost} of {len(start.points)} surface points could not be placed on f = 0: the field changes with "
+                "rounding there, or has pieces thinner than a cell. Extract at a higher resolution, take the field to "
+                "torch.float64, or refit it."
             )
-        points = torch.where(arrived[:, None], points, start)
-    return points, faces
+        kept = torch.where((found.arrived | found.jumps)[:, None], found.points, start.points)
+        found = replace(found, points=kept)
+    return found, start.faces

@@ -4,7 +4,8 @@ The grid is cut into chunks of 32 cells, these into blocks of 8, of 4 and of 2. 
 out where |f| at its middle exceeds its half diagonal times a bound on |df/dx|: the largest gradient seen near by on a
 coarse grid, with a safety factor. What is left out has the sign of its middle. Of the nodes of the last blocks, those
 that no middle speaks for are evaluated, each once, so that neighbouring chunks agree on them to the bit and their
-triangles fit.
+triangles fit. Where the field shows on the coarse grid that no such bound holds, for it is saturated (an occupancy, a
+narrow truncation) or jumps, every node is evaluated.
 
 Single precision is all that marching cubes work in; the vertices find the surface afterwards in the field's own.
 """
@@ -33,6 +34,7 @@ GRADIENT_SAFETY = 1.5
 
 # Bytes for the grid of an extraction unless the caller says otherwise: a resolution of about 890 in a cube.
 MEMORY_LIMIT = 4 * 2**30
+MOST_AT_ONCE = 1_000_000  # nodes
 BYTES_A_NODE = 6  # value, sign, and what blocks of two cells have for their eight nodes
 
 
@@ -69,8 +71,25 @@ class Grid:
             )
 
 
-def march(field: Field, grid: Grid) -> tuple[Float[Tensor, "n d"], Int[Tensor, "m d"]]:
-    """Return about where the edges of the grid cross f = 0, and the triangles (3D) or segments (2D) that join them.
+@dataclass(frozen=True, eq=False)
+class Crossings:
+    """The edges of a grid that cross f = 0.
+
+    Attributes:
+        points: About where, by linear interpolation, (N, D).
+        lower: The end of the edge with the smaller coordinate; the point itself for the few inside a cell, (N, D).
+        upper: Its other end.
+        faces: Triangles (M, 3) or segments (M, 2) that join the points.
+    """
+
+    points: Float[Tensor, "n d"]
+    lower: Float[Tensor, "n d"]
+    upper: Float[Tensor, "n d"]
+    faces: Int[Tensor, "m d"]
+
+
+def march(field: Field, grid: Grid) -> Crossings:
+    """Return where the edges of the grid cross f = 0, and what joins them.
 
     Raises:
         SurfaceError: There is no zero set in the bounds, it leaves them, or the field is not finite.
@@ -78,8 +97,11 @@ def march(field: Field, grid: Grid) -> tuple[Float[Tensor, "n d"], Int[Tensor, "
     # One dtype for all: what is rounded differently for two neighbours could give a node two signs.
     single = field.to(torch.float32)
     index, faces = (_march_squares if field.dimension == 2 else _march_chunks)(single, grid)
-    place = grid.lower + torch.from_numpy(index).to(grid.lower) * grid.cell
-    return place, torch.from_numpy(faces).to(field.device)
+    corner, along = _edges(index)
+    inside = along.sum(axis=1, keepdims=True) > 1
+    ends = (np.where(inside, index, end) for end in (corner, corner + along))
+    place, lower, upper = (grid.lower + torch.from_numpy(x).to(grid.lower) * grid.cell for x in (index, *ends))
+    return Crossings(place, lower, upper, torch.from_numpy(faces).to(field.device))
 
 
 # In space: chunk by chunk
@@ -140,14 +162,20 @@ def _march_chunks(field: Field, grid: Grid) -> tuple[NDArray[np.float64], NDArra
 
 def _edge_keys(place: NDArray[np.float64], nodes: tuple[int, ...]) -> NDArray[np.int64]:
     """A number for the edge of the grid that each vertex lies on, or for the cell where it lies inside one."""
+    corner, along = _edges(place)
+    return 4 * np.ravel_multi_index(tuple(corner.T), nodes) + np.where(along.all(axis=1), 3, along.argmax(axis=1))
+
+
+def _edges(place: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return the lower end of the edge that each vertex lies on, and which axis it runs along.
+
+    Some cases of marching cubes put a vertex inside their cell: of those the lower corner of the cell, and all axes.
+    """
     nearest = np.rint(place)
     off = np.abs(place - nearest)
-    axis = off.argmax(axis=1)
-    # Some cases of marching cubes put a vertex inside their cell. The ends of an edge are NUDGE / 2 away or more.
-    inside = np.sort(off, axis=1)[:, 1] > NUDGE / 8
-    along = (np.arange(3) == axis[:, None]) | inside[:, None]
-    corner = np.where(along, np.floor(place), nearest).astype(np.int64)
-    return 4 * np.ravel_multi_index(tuple(corner.T), nodes) + np.where(inside, 3, axis)
+    inside = np.sort(off, axis=1)[:, -2] > NUDGE / 8  # the ends of an edge are NUDGE / 2 away or more
+    along = (np.arange(place.shape[1]) == off.argmax(axis=1)[:, None]) | inside[:, None]
+    return np.where(along, np.floor(place), nearest).astype(np.int64), along
 
 
 # Values nearer to zero than this, in units of the change of f over a cell, are moved away from it, so that no vertex
@@ -158,6 +186,8 @@ NUDGE = 4e-3
 def near_surface(field: Field, grid: Grid) -> Chunks:
     """Evaluate f from coarse to fine, only where the surface can be (3D)."""
     steepest = _Steepest(field)
+    if not steepest.holds:
+        return _every_node(field, grid, steepest)
     cells = torch.tensor(grid.cells, device=field.device)
     counts = [-(-count // CHUNK_CELLS) for count in grid.cells]
     blocks = _Blocks.evaluate(
@@ -188,6 +218,34 @@ def near_surface(field: Field, grid: Grid) -> Chunks:
     crossed = signs.any(dim=1) & ~signs.all(dim=1)
     crossed[owner] = True
     return Chunks(chunks[crossed], middles[crossed], *_node_values(field, grid, blocks, steepest))
+
+
+def _every_node(field: Field, grid: Grid, steepest: _Steepest) -> Chunks:
+    """Evaluate f at all nodes, some planes of the grid at a time."""
+    values = torch.empty(grid.nodes, dtype=torch.float32, device=field.device)
+    planes = max(1, MOST_AT_ONCE // (grid.nodes[1] * grid.nodes[2]))
+    axes = [torch.arange(count, device=field.device) for count in grid.nodes]
+    for part in axes[0].split(planes):
+        points = grid.place(torch.cartesian_prod(part, *axes[1:])).float()
+        values[part] = _nudged(field, grid, points, steepest).view(len(part), *grid.nodes[1:])
+    signs = 2 - 4 * (values < 0).to(torch.int8)
+    for axis, count in enumerate(grid.nodes):
+        for end in (0, count - 1):
+            if bool((out := signs.select(axis, end) < 0).any()):
+                index = out.nonzero()[0].tolist()
+                index.insert(axis, end)
+                raise _leaves(field, grid.place(torch.tensor(index, device=field.device)))
+    counts = [torch.arange(-(-count // CHUNK_CELLS), device=field.device) for count in grid.cells]
+    chunks = torch.cartesian_prod(*counts)
+    side = CHUNK_CELLS // LEVELS[-1]
+    return Chunks(chunks, values.new_zeros(1).expand(len(chunks), side, side, side), values, signs)
+
+
+def _nudged(field: Field, grid: Grid, points: Float[Tensor, "n 3"], steepest: _Steepest) -> Float[Tensor, " n"]:
+    """Return f at nodes of the grid, moved away from zero where it is nearer to it than NUDGE."""
+    found = _finite(field.value(points))
+    least = NUDGE * grid.cell / GRADIENT_SAFETY * steepest.at(points)
+    return (1 - 2 * (found < 0).to(torch.int8)) * found.abs().maximum(least)
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,12 +292,10 @@ def _node_values(
     def evaluate(flat: Int[Tensor, " n"]) -> None:
         index = torch.stack([flat // strides[0], flat // strides[1] % grid.nodes[1], flat % grid.nodes[2]], dim=1)
         points = grid.place(index).float()
-        found = _finite(field.value(points))
+        found = _nudged(field, grid, points, steepest)
         if bool((out := ((index == 0) | (index == top)).any(dim=1) & (found < 0)).any()):
             raise _leaves(field, points[out][0])
-        least = NUDGE * grid.cell / GRADIENT_SAFETY * steepest.at(points)
-        sign = 1 - 2 * (found < 0).to(torch.int8)
-        values[flat], signs[flat] = sign * found.abs().maximum(least), 2 * sign
+        values[flat], signs[flat] = found, 2 - 4 * (found < 0).to(torch.int8)
 
     nodes, unsettled = [], []
     for index, value, clear in _clearest(blocks, grid):
@@ -249,13 +305,19 @@ def _node_values(
         unsettled.append(flat[~clear])
     evaluate(torch.cat(unsettled))
     flat = torch.cat(nodes)
-    sign, ends = signs[flat], []
-    for stride in strides:
-        beside = (flat + stride).clamp(max=count - 1)
-        other = signs[beside]
-        crossed = sign * other < 0
-        ends += [flat[crossed & (sign.abs() == 1)], beside[crossed & (other.abs() == 1)]]
-    evaluate(torch.unique(torch.cat(ends)))
+    mistaken = True
+    while mistaken:
+        sign, ends = signs[flat], []
+        for stride in strides:
+            beside = (flat + stride).clamp(max=count - 1)
+            other = signs[beside]
+            crossed = sign * other < 0
+            ends += [flat[crossed & (sign.abs() == 1)], beside[crossed & (other.abs() == 1)]]
+        told = torch.unique(torch.cat(ends))
+        before = signs[told]
+        evaluate(told)
+        # A middle that spoke wrongly for a node may have done so for those beside it.
+        mistaken = bool((signs[told] * before < 0).any())
     return values.view(grid.nodes), signs.view(grid.nodes)
 
 
@@ -292,18 +354,36 @@ class _Steepest:
 
     Over a block the bound is that of all nodes in it and of the next ones: a truncated distance is level at the middle
     of a large block, and steep where the surface runs through its rim.
+
+    Attributes:
+        holds: False where the coarse grid itself shows that the slopes seen at its nodes bound nothing: f changes more
+            between two of them than the bound allows, or is so far from zero for its slope that it must be saturated.
     """
 
     nodes = 24
+    saturated = 4.0  # times the field's size; a distance over its slope is the size at most
 
     def __init__(self, field: Field) -> None:
         lines = [torch.linspace(float(a), float(b), self.nodes, device=field.device) for a, b in field.bounds.T]
-        lengths = _finite(field.gradient(torch.cartesian_prod(*lines))).norm(dim=1).view(1, 1, *[self.nodes] * 3)
+        nodes = torch.cartesian_prod(*lines)
+        values, gradients = field.value_and_gradient(nodes)
+        lengths = _finite(gradients).norm(dim=1).view(1, 1, *[self.nodes] * 3)
         self._lengths = GRADIENT_SAFETY * lengths
         self._bounds: dict[int, Tensor] = {}
         self._lower = field.bounds[0]
         self._step = (field.bounds[1] - field.bounds[0]) / (self.nodes - 1)
         self._strides = torch.tensor([self.nodes**2, self.nodes, 1], device=field.device)
+        self.holds = self._is_bound(_finite(values), self.at(nodes), field.size)
+
+    def _is_bound(self, values: Float[Tensor, " n"], bound: Float[Tensor, " n"], size: float) -> bool:
+        if bool((values.abs() > self.saturated * size * bound).any()):
+            return False
+        values, bound = values.view([self.nodes] * 3), bound.view([self.nodes] * 3)
+        for axis in range(3):
+            before, after = (bound.narrow(axis, first, self.nodes - 1) for first in (0, 1))
+            if bool((values.diff(dim=axis).abs() > self._step[axis] * torch.maximum(before, after)).any()):
+                return False
+        return True
 
     def at(self, points: Float[Tensor, "n 3"], reach: float = 0.0) -> Float[Tensor, " n"]:
         """The bound in the cube that reaches so far from each point along each axis, a length."""

@@ -3,7 +3,8 @@
 The quadrature replaces the marching-cubes triangles by six-node curved ones whose corners and mid-edge nodes
 all lie on f = 0, and integrates over each by a rule exact for polynomials of degree 4. Its error falls with
 the fourth power of the cell (measured on tori); flat triangles would give the second. In the plane the same
-is done with three-node curved segments.
+is done with three-node curved segments. Where the gradient jumps the cells are first split along the crease, or left
+flat, and the order falls to the second.
 """
 
 from __future__ import annotations
@@ -17,11 +18,18 @@ from torch import Tensor
 
 from implicit.arguments import counted, kind_of
 from implicit.field.field import Field, SurfaceError, require_field
-from implicit.surface.extraction import marched_surface
-from implicit.surface.projection import newton_to_surface
+from implicit.surface.creases import edges_of, split_at_creases
+from implicit.surface.extraction import placed_vertices
+from implicit.surface.projection import discontinuous, in_working_precision, place_on_surface
 
 # Six-point rule of degree 4 on the triangle (Dunavant 1985): two orbits (1 - 2a, a, a) and their weights.
 _TRIANGLE_ORBITS = ((0.445948490915965, 0.223381589678011), (0.091576213509771, 0.109951743655322))
+
+# A middle node farther from the middle of its chord than this share of it makes no cell that follows the surface: an
+# edge over half a circle has its middle there. On a mesh with creases the gradient may lead a middle astray, along the
+# surface: there an edge stays straight from where it would follow a quarter of a circle.
+MOST_BULGE = 0.5
+MOST_BULGE_BY_CREASES = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,22 +118,21 @@ def surface_quadrature(field: Field, resolution: int = 64, *, exact_points: bool
         SurfaceError: There is no surface in the bounds, it leaves them, or the gradient vanishes on it.
     """
     sample = meshed_quadrature(field, resolution).sample
-    return placed(field, sample.points, sample.weights, 2 * field.size / resolution) if exact_points else sample
+    return placed(field, sample, 2 * field.size / resolution) if exact_points else sample
 
 
 def meshed_quadrature(field: Field, resolution: int) -> MeshedSample:
-    """Return the quadrature of surface_quadrature, its points left on the cells, with the cells as a mesh."""
-    corners, cells = marched_surface(field, resolution)
-    nodes = _with_middle_nodes(field, corners, cells, 2 * field.size / resolution)
+    """Return the quadrature of surface_quadrature, its points left on the cells, with the marched mesh."""
+    nodes, corners, cells = _curved_mesh(field, resolution)
     points, normals, weights = _curved_rule(nodes)
     keep = weights > 0
-    return MeshedSample(SurfaceSample(points[keep], normals[keep], weights[keep]), corners, cells)
+    sample = SurfaceSample(points[keep], normals[keep], weights[keep]).to(field.dtype)
+    return MeshedSample(sample, corners.to(field.dtype), cells)
 
 
 def curved_cells(field: Field, resolution: int) -> Float[Tensor, "m k d"]:
     """Return the nodes of quadratic cells on the surface: six of a triangle, or in the plane three of a segment."""
-    corners, cells = marched_surface(field, resolution)
-    return _with_middle_nodes(field, corners, cells, 2 * field.size / resolution)
+    return _curved_mesh(field, resolution)[0]
 
 
 def cell_points(
@@ -146,36 +153,87 @@ def cell_points(
     return points, _across(tangents)
 
 
-def placed(field: Field, points: Float[Tensor, "n d"], weights: Float[Tensor, " n"], reach: float) -> SurfaceSample:
-    """Return the points moved to f = 0, with normals; the distance is of higher order than the weights' error."""
-    points, arrived = newton_to_surface(field, points, reach=reach)
-    if not bool(arrived.all()):
+def placed(field: Field, sample: SurfaceSample, reach: float) -> SurfaceSample:
+    """Return the points moved to f = 0, with normals; the distance is of higher order than the weights' error.
+
+    Args:
+        field: The field.
+        sample: Points on the cells, with the cells' normals, which stay where the field has none.
+        reach: Largest distance a point may be moved, a length.
+
+    Raises:
+        SurfaceError: More than a hundredth of the surface cannot be placed.
+    """
+    points, normals, weights = sample.points, sample.normals, sample.weights
+    found = place_on_surface(field, points, reach=reach)
+    if not bool(found.arrived.all()):
+        arrived = found.arrived
         lost = float(weights[~arrived].sum() / weights.sum())
         if lost > 0.01:
+            if float(weights[found.jumps].sum()) > 0.5 * float(weights[~arrived].sum()):
+                raise discontinuous(field, found)
             raise SurfaceError(
                 f"{100 * lost:.1f} % of the surface could not be placed on f = 0. Refit the field, or raise resolution."
             )
         # Drop what cannot be placed and spread its share, at most a hundredth, over the rest.
-        points, weights = points[arrived], weights[arrived] / (1 - lost)
-    return SurfaceSample(points, field.normal(points), weights)
+        points, normals, weights = found.points[arrived], normals[arrived], weights[arrived] / (1 - lost)
+    else:
+        points = found.points
+    return SurfaceSample(points, normals_of(field, points, normals), weights)
 
 
-def _with_middle_nodes(field: Field, corners: Tensor, cells: Tensor, reach: float) -> Tensor:
-    """Nodes of the curved cells (m, 6, 3): three corners, then the projected middles of edges 01, 12, 20."""
-    if field.dimension == 2:
-        start = corners[cells].mean(dim=1)
-        middle, arrived = newton_to_surface(field, start, reach=reach)
-        middle = torch.where(arrived[:, None], middle, start)
-        return torch.stack([corners[cells[:, 0]], corners[cells[:, 1]], middle], dim=1)
-    edges = torch.stack([cells, cells.roll(-1, dims=1)], dim=2).reshape(-1, 2)
-    # Both triangles at an edge must share its middle node, or the curved surface would tear.
-    code = edges.amin(dim=1) * len(corners) + edges.amax(dim=1)
-    unique, inverse = torch.unique(code, return_inverse=True)
-    ends = torch.stack([unique // len(corners), unique % len(corners)], dim=1)
-    start = corners[ends].mean(dim=1)
-    middle, arrived = newton_to_surface(field, start, reach=reach)
-    middle = torch.where(arrived[:, None], middle, start)
-    return torch.cat([corners[cells], middle[inverse].view(-1, 3, 3)], dim=1)
+def normals_of(field: Field, points: Float[Tensor, "n d"], otherwise: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
+    """Return the outward unit normals df/dx / |df/dx|, and the others where the gradient vanishes or is not finite."""
+    gradients = field.gradient(points)
+    length = gradients.norm(dim=1)
+    known = torch.isfinite(length)
+    known &= length > 1e-7 * length[known].median() if bool(known.any()) else known
+    return torch.where(known[:, None], gradients / length[:, None], otherwise)
+
+
+def _curved_mesh(field: Field, resolution: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Nodes of the curved cells, (m, 6, 3) or (m, 3, 2), and the vertices and faces of the marched mesh beneath."""
+    vertices, cells = placed_vertices(field, resolution)
+    corners, reach = vertices.points, 2 * field.size / resolution
+    field = in_working_precision(field)
+    edges, edge_of = edges_of(cells, len(corners))
+    middles, slopes = _middle_nodes(field, corners, edges, reach, MOST_BULGE)
+    split = split_at_creases(field, corners, cells, edges, edge_of, (vertices.gradients, slopes))
+    if len(split[0]) == len(corners):
+        return _with_middle_nodes(corners, cells, middles, edge_of), corners, cells
+    edges, edge_of = edges_of(split[1], len(split[0]))
+    middles, _ = _middle_nodes(field, split[0], edges, reach, MOST_BULGE_BY_CREASES)
+    return _unfolded(_with_middle_nodes(*split, middles, edge_of)), corners, cells
+
+
+def _middle_nodes(field: Field, corners: Tensor, edges: Tensor, reach: float, most: float) -> tuple[Tensor, Tensor]:
+    """The middle of each edge, on the surface where that is nearer than so many edges; and df/dx there.
+
+    Both triangles at an edge share its middle node, or the curved surface would tear.
+    """
+    ends = corners[edges]
+    start = ends.mean(dim=1)
+    found = place_on_surface(field, start, reach=reach)
+    bulge = (found.points - start).norm(dim=1)
+    near = found.arrived & (bulge <= most * (ends[:, 1] - ends[:, 0]).norm(dim=1))
+    return torch.where(near[:, None], found.points, start), found.gradients
+
+
+def _with_middle_nodes(corners: Tensor, cells: Tensor, middles: Tensor, edge_of: Tensor) -> Tensor:
+    """Nodes of the curved cells: the corners, then the middles of edges 01, 12, 20, or of the segment."""
+    return torch.cat([corners[cells], middles[edge_of]], dim=1)
+
+
+def _unfolded(nodes: Tensor) -> Tensor:
+    """The same cells, but flat where one turns against its own corners, as may happen by the corners of a box."""
+    dimension = nodes.shape[2]
+    corners, middles = nodes[:, :dimension], nodes.shape[1] - dimension
+    _, slopes, _ = _segment_rule() if dimension == 2 else _triangle_rule()
+    flat = _across(corners[:, 1:] - corners[:, :1])
+    across = _across(torch.einsum("qkt,mkd->mqtd", slopes.to(nodes), nodes))
+    folds = ((across * flat[:, None]).sum(dim=2) < 0).any(dim=1, keepdim=True)[..., None]
+    straight = (corners + corners.roll(-1, dims=1))[:, :middles] / 2
+    return torch.cat([corners, torch.where(folds, straight, nodes[:, dimension:])], dim=1)
 
 
 def _curved_rule(nodes: Tensor) -> tuple[Tensor, Tensor, Tensor]:

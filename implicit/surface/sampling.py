@@ -19,14 +19,26 @@ from torch import Tensor
 from implicit.arguments import require_callable, require_choice, require_tensor, require_whole
 from implicit.field.field import Field, SurfaceError, require_field
 from implicit.surface.extraction import require_resolution
-from implicit.surface.projection import newton_to_surface, project_to_surface
-from implicit.surface.quadrature import SurfaceSample, cell_points, curved_cells, placed, require_sample
+from implicit.surface.projection import in_working_precision, newton_to_surface, project_to_surface
+from implicit.surface.quadrature import (
+    SurfaceSample,
+    cell_points,
+    curved_cells,
+    normals_of,
+    placed,
+    require_sample,
+    surface_quadrature,
+)
 
 SampleMethod = Literal["stratified", "uniform", "farthest", "rejection"]
 METHODS = ("stratified", "uniform", "farthest", "rejection")
 
 # Stratified points from which each of the farthest is chosen.
 CANDIDATES = 6
+
+# Cells along a side for the area that the paper's draws are held against, and by how much they may differ.
+BAND_CHECK = 32
+BAND_ERROR = 0.2
 
 
 def sample_surface(
@@ -78,6 +90,9 @@ def sample_surface(
     if density is not None and method not in ("stratified", "uniform"):
         raise ValueError(f'A density needs method "stratified" or "uniform", not {method!r}.')
     generator = torch.Generator().manual_seed(seed) if generator is None else generator
+    if (working := in_working_precision(field)) is not field:
+        single = sample_surface(working, n, method, density=density, resolution=resolution, generator=generator)
+        return single.to(field.dtype)
     if method == "rejection":
         return _by_rejection(field, n, resolution, generator)
     if method == "farthest":
@@ -95,7 +110,7 @@ def sample_surface(
         chosen = _one_a_strip(amount, n, generator)
     else:
         chosen = torch.multinomial(amount.double().cpu(), n, replacement=True, generator=generator).to(field.device)
-    points = torch.empty(n, field.dimension, dtype=field.dtype, device=field.device)
+    points, normals = torch.empty(2, n, field.dimension, dtype=field.dtype, device=field.device)
     waiting = torch.arange(n, device=field.device)
     while len(waiting):
         cells = chosen[waiting]
@@ -104,8 +119,9 @@ def sample_surface(
         chance = torch.rand(len(waiting), generator=generator, dtype=torch.float64).to(field.theta)
         taken = chance * largest[cells] <= across.norm(dim=1)
         points[waiting[taken]] = found[taken]
+        normals[waiting[taken]] = torch.nn.functional.normalize(across[taken], dim=1)
         waiting = waiting[~taken]
-    return placed(field, points, total / n / dense[chosen], 2 * field.size / resolution)
+    return placed(field, SurfaceSample(points, normals, total / n / dense[chosen]), 2 * field.size / resolution)
 
 
 def carrying_points(
@@ -139,7 +155,7 @@ def transport(field: Field, sample: SurfaceSample, displacement: Float[Tensor, "
     require_tensor("displacement", displacement, sample.points.shape, field.device)
     reach = float(displacement.norm(dim=1).amax()) + 0.01 * field.size
     points = project_to_surface(field, sample.points + displacement, reach=reach)
-    return replace(sample, points=points, normals=field.normal(points))
+    return replace(sample, points=points, normals=normals_of(field, points, sample.normals))
 
 
 def _farthest(sample: SurfaceSample, n: int) -> SurfaceSample:
@@ -174,9 +190,12 @@ def subsample(field: Field, sample: SurfaceSample, n: int, *, seed: int = 0) -> 
     """
     if len(sample) < 4 * n:
         return sample_surface(field, n, seed=seed)
+    if (working := in_working_precision(field)) is not field:
+        return subsample(working, sample.to(working.dtype), n, seed=seed).to(field.dtype)
     order = _space_filling_order(sample.points, field)
     chosen = order[_one_a_strip(sample.weights[order], n, torch.Generator().manual_seed(seed))]
-    return placed(field, sample.points[chosen], (sample.weights.sum() / n).expand(n).clone(), field.size / 16)
+    equal = (sample.weights.sum() / n).expand(n).clone()
+    return placed(field, SurfaceSample(sample.points[chosen], sample.normals[chosen], equal), field.size / 16)
 
 
 def _one_a_strip(amounts: Float[Tensor, " m"], n: int, generator: torch.Generator) -> Tensor:
@@ -236,9 +255,23 @@ def _by_rejection(field: Field, n: int, resolution: int, generator: torch.Genera
     candidates = torch.cat(kept)[: 4 * n]
     points = candidates[farthest_order(candidates, n)]
     # A band of half-width w about an area A has the volume 2 w A.
-    area = float((upper - lower).prod()) * inside / drawn / (2 * band)
+    area = _confirmed_area(field, float((upper - lower).prod()) * inside / drawn / (2 * band), resolution)
     weights = torch.full_like(points[:, 0], area / n)
     return SurfaceSample(points, field.normal(points), weights)
+
+
+def _confirmed_area(field: Field, estimate: float, resolution: int) -> float:
+    """Return the area from the draws in a band, or that of the cells where the band was not what it was taken for.
+
+    A saturated or truncated field is level within the band, so that fewer points seem near than are.
+    """
+    try:
+        cells = float(surface_quadrature(field, BAND_CHECK).weights.sum())
+        if abs(estimate / cells - 1) <= BAND_ERROR:
+            return estimate
+        return float(surface_quadrature(field, max(BAND_CHECK, resolution)).weights.sum())
+    except SurfaceError:  # the surface leaves the bounds, and only the part in them is sampled
+        return estimate
 
 
 def farthest_order(points: Float[Tensor, "m d"], n: int) -> Tensor:

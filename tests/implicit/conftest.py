@@ -1,5 +1,8 @@
 """Fields whose surface is known, or at least simple, for the tests of every module."""
 
+import math
+from collections.abc import Callable
+
 import pytest
 import torch
 from torch import Tensor, nn
@@ -18,6 +21,61 @@ class Wobbly(nn.Module):
 
     def forward(self, points: Tensor) -> Tensor:
         return points.norm(dim=1) - 0.5 + self.amount * self.network(points).reshape(-1)
+
+
+class Planes(nn.Module):
+    """max of n_k . x - h_k, a polytope whose every face has parameters of its own: piecewise linear, as of ReLU."""
+
+    def __init__(self, normals: Tensor, offsets: Tensor) -> None:
+        super().__init__()
+        self.normals, self.offsets = nn.Parameter(normals), nn.Parameter(offsets)
+
+    def forward(self, points: Tensor) -> Tensor:
+        return (points @ self.normals.T - self.offsets).amax(dim=1)
+
+
+def round_polytope(count: int, dimension: int = 3, radius: float = 0.5) -> Planes:
+    """Planes that touch a ball in a spiral of points, or lines that touch a circle."""
+    k = torch.arange(count, dtype=torch.float64) + 0.5
+    if dimension == 2:
+        angle = 2 * math.pi * k / count
+        normals = torch.stack([angle.cos(), angle.sin()], dim=1)
+    else:
+        z, angle = 1 - 2 * k / count, math.pi * (1 + 5**0.5) * k
+        ring = (1 - z.square()).sqrt()
+        normals = torch.stack([ring * angle.cos(), ring * angle.sin(), z], dim=1)
+    return Planes(normals, torch.full((count,), radius, dtype=torch.float64))
+
+
+class Placed(nn.Module):
+    """Another field scaled about the origin and shifted: how any functional changes with both is known."""
+
+    def __init__(self, other: nn.Module, dimension: int = 3) -> None:
+        super().__init__()
+        self.other = other
+        self.scale = nn.Parameter(torch.ones((), dtype=torch.float64))
+        self.shift = nn.Parameter(torch.zeros(dimension, dtype=torch.float64))
+
+    def forward(self, points: Tensor) -> Tensor:
+        return self.other((points - self.shift) / self.scale).reshape(-1)
+
+
+def relu_network(distance: Callable[[Tensor], Tensor], steps: int = 300) -> nn.Module:
+    """A ReLU network of 2 x 32 trained for seconds to a distance."""
+    generator = torch.Generator().manual_seed(0)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        network = nn.Sequential(nn.Linear(3, 32), nn.ReLU(), nn.Linear(32, 32), nn.ReLU(), nn.Linear(32, 1)).double()
+    optimiser = torch.optim.Adam(network.parameters(), 1e-2)
+    for step in range(steps):
+        optimiser.param_groups[0]["lr"] = 1e-2 * (1 - step / steps)
+        points = 2 * torch.rand(2000, 3, generator=generator, dtype=torch.float64) - 1
+        exact = distance(points)
+        loss = ((network(points)[:, 0] - exact) / (exact.abs() + 0.1)).square().mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    return network
 
 
 class Occupancy(nn.Module):
@@ -72,3 +130,30 @@ def wobbly() -> Field:
 def spot() -> Field:
     """A real shape in the paper's network, in float64."""
     return bundled("spot").to(torch.float64)
+
+
+@pytest.fixture
+def polytope() -> Callable[..., Field]:
+    """Field of a polytope about a ball or a circle, of so many faces."""
+
+    def make(count: int, dimension: int = 3) -> Field:
+        bounds = ((-1.0,) * dimension, (1.0,) * dimension)
+        return Field(round_polytope(count, dimension), bounds=bounds)
+
+    return make
+
+
+@pytest.fixture
+def placed_polytope() -> Field:
+    """A polytope whose parameters scale and shift it."""
+    return Field(Placed(round_polytope(200)), parameters=["scale", "shift"])
+
+
+@pytest.fixture(scope="session")
+def relu_torus() -> Field:
+    """A ReLU network trained to a torus of radii 0.55 and 0.25, all of its parameters free."""
+
+    def distance(points: Tensor) -> Tensor:
+        return ((points[:, :2].norm(dim=1) - 0.55).square() + points[:, 2].square()).sqrt() - 0.25
+
+    return Field(relu_network(distance))

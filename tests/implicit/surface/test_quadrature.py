@@ -142,9 +142,9 @@ def test_blocks_left_out_change_nothing_of_the_surface(name):
         here = values[tuple(slice(a, a + n) for a, n in zip(start, chunk.shape, strict=True))]
         np.testing.assert_array_equal(chunk < 0, here < 0)
     whole, faces, _, _ = marching_cubes(values, 0.0)
-    found, mine = march(field, grid)
-    assert len(found) == len(whole)
-    assert len(mine) == len(faces)
+    found = march(field, grid)
+    assert len(found.points) == len(whole)
+    assert len(found.faces) == len(faces)
 
 
 @pytest.mark.parametrize("resolution", [64, 96, 128])
