@@ -29,7 +29,7 @@ from implicit.models.named_code import FORMS, build_module, named_function, spli
 from implicit.models.registry import build, is_registered
 
 FORMAT = "implicit-field-1"
-FORMAT_WITH_BUILDER = "implicit-field-2"
+FORMAT_OF_OTHERS = "implicit-field-2"  # with a builder, or with words on where a module takes and gives its values
 
 PROBES = 64  # points at which a file is held against its field before it is written
 KEPT_PROBES = 8  # of them in the file of a user's own module, to be held against the code that loads it
@@ -74,9 +74,11 @@ def encode_field(field: Field, *, builder: str | None = None, arguments: Mapping
 
     recipe = _recipe(require_field(field), builder, arguments)
     state = _state(field)
+    form = _form(field)
     header = {
-        "format": FORMAT if builder is None else FORMAT_WITH_BUILDER,
+        "format": FORMAT if builder is None and not form else FORMAT_OF_OTHERS,
         **recipe,
+        **form,
         "parameters": [block.name for block in field.layout],
         "level": field.level,
         "inside": field.inside,
@@ -217,6 +219,19 @@ def _recipe(field: Field, builder: str | None, arguments: Mapping[str, Any] | No
     return {"architecture": _plain(f"describe() of {kind}", description)}
 
 
+def _form(field: Field) -> dict[str, Any]:
+    """Return the part of the header that says how points go into the module and where its values come out."""
+    form = getattr(field._evaluator, "form", None)
+    said = {name: getattr(form, name, None) for name in ("inputs", "output")}
+    for name, value in said.items():
+        if callable(value):
+            raise TypeError(
+                f"A file cannot hold the function that the field has as {name}, for it would be code. Make it a part "
+                "of the module's forward, or say it by a number or a name."
+            )
+    return {name: _plain(name, value) for name, value in said.items() if value is not None}
+
+
 def _plain(what: str, value: Any) -> Any:
     """Return the value as JSON will give it back, or refuse it."""
     try:
@@ -246,9 +261,8 @@ def _state(field: Field) -> dict[str, Tensor]:
         block = edited.get(id(tensor))
         own = tensor if block is None else field.theta[block.where].view(block.shape)
         state[name] = own.detach().cpu().contiguous()
-    # A decoder's field holds its code beside the weights.
-    for block in field.layout:
-        state.setdefault(block.name, field.theta[block.where].view(block.shape).cpu().contiguous())
+    if field.takes_code:  # which the field holds beside the weights
+        state[field.layout[0].name] = field.theta.cpu().contiguous()
     return state
 
 
@@ -329,7 +343,7 @@ def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], dict[str
         found = header.get("format")
     except (ValueError, AttributeError):
         header, found = {}, None
-    if found not in (FORMAT, FORMAT_WITH_BUILDER):
+    if found not in (FORMAT, FORMAT_OF_OTHERS):
         raise ValueError(
             f"{fspath(path)} holds no field: its format is {found!r}, wanted {FORMAT!r}. A field is written by "
             'save_field; of a published network\'s weights load_network(path, "auto") makes one, and the weights of '
@@ -359,6 +373,7 @@ def _assembled(
         "bounds": header["bounds"],
         "units": Units(scale, tuple(offset)),
     }
+    place |= {name: header[name] for name in ("inputs", "output") if name in header}
     if code is not None:
         return decoder_field(module, code.to(device), **place)
     return Field(module, parameters=names, **place)
@@ -366,7 +381,9 @@ def _assembled(
 
 def _made(header: Mapping[str, Any], made_by: Callable[..., nn.Module] | nn.Module | None) -> nn.Module:
     if isinstance(made_by, nn.Module):
-        return Frozen(made_by).function
+        copied = Frozen(made_by).function
+        assert isinstance(copied, nn.Module)
+        return copied
     if made_by is None:
         return build(header["architecture"])
     return build_module(made_by, header["builder"]["arguments"] if "builder" in header else {})
