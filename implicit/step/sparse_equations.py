@@ -8,7 +8,7 @@ An unknown that no equation holds has a damped solution of exactly zero, so that
 | k < n | dual: one unknown an equation |
 | both above DIRECT_LIMIT | conjugate gradients with sparse products |
 
-Columns that many equations hold (of a decoder, of a coarse level) are kept as a dense matrix, the others as a sparse one.
+Columns that many equations hold (of a decoder, of a coarse level) are kept as a dense matrix, the others sparse.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from torch import Tensor
 from implicit.step.equations import Equations, Rows
 from implicit.step.factors import ConjugateGradients, Dual, Factor, Primal
 
-# The largest matrix that is factored. Measured on a dense grid, a hash grid and tri-planes: conjugate gradients take 50 to
-# 90 products at a relative damping of 1e-5 and 300 to 600 at 1e-7, which is less than the factor beyond 3000 or so.
+# The largest matrix that is factored. Measured on a dense grid, a hash grid and tri-planes: conjugate gradients take 50
+# to 90 products at a relative damping of 1e-5 and 300 to 600 at 1e-7, which is less than the factor beyond 3000 or so.
 DIRECT_LIMIT = 3000
 
 # Columns of which more than this share is filled are dense.

@@ -93,7 +93,7 @@ def test_a_step_of_a_grid_is_that_of_its_dense_rows(make, tied, monkeypatch):
     """To 1e-12 of the step, on and off the surface; in float64."""
     grid = make().double()
     ball = DenseGrid(resolution=10).double()
-    field = Field(grid) if isinstance(grid, DenseGrid) else Field(_Sum(ball, grid))
+    field = Field(grid) if isinstance(grid, DenseGrid) else Field(_Sum(ball, grid), parameters=["grid.*"])
     sample = sample_surface(field, 60, resolution=16)
     target = torch.linspace(0, 0.1, 60, dtype=torch.float64)
     energies = [
@@ -113,11 +113,11 @@ class _Sum(torch.nn.Module):
 
     def __init__(self, ball: DenseGrid, grid: HashGrid) -> None:
         super().__init__()
-        self.grid, self._ball = grid, [ball.requires_grad_(False)]
+        self.grid, self.ball = grid, ball
 
     def forward(self, points, local=None):
         inner = None if local is None else {"values": local["grid.values"]}
-        return self._ball[0](points) + 0.01 * self.grid(points, inner)
+        return self.ball(points) + 0.01 * self.grid(points, inner)
 
     def local_parameters(self, points):
         return {"grid.values": self.grid.local_parameters(points)["values"]}
