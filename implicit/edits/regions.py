@@ -119,7 +119,7 @@ class HalfSpace(Region):
 class NearPoints(Region):
     """Points within `radius` of any of `centers` (M, D): a set picked on a mesh, for instance."""
 
-    centers: Float[Tensor, "m d"]
+    centers: Float[Tensor, "m d"] | Sequence[Sequence[float]]
     radius: float
     falloff: float = 0.0
 
