@@ -2,6 +2,8 @@
 
 import json
 import pickle
+import re
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -263,3 +265,11 @@ def test_the_command_fits_a_module_that_it_names_and_the_file_runs_nothing(ball,
         implicit.load_field(ball / "own.safetensors")
     assert not (ball / "was-run").exists()
     assert implicit.load_field(ball / "own.safetensors", module="nets.py:network").theta.numel() == 721
+
+
+def test_the_page_on_networks_of_ones_own_runs(tmp_path):
+    page = Path(__file__).resolve().parents[2] / "docs" / "own-networks.md"
+    (snippet,) = re.findall(r"^```python\n(.*?)^```$", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+    ended = subprocess.run([sys.executable, "-c", snippet], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert "P = 721" in ended.stdout

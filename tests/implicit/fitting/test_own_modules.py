@@ -197,7 +197,7 @@ def frozen():
         ({"module": lambda: nn.Linear(2, 1)}, TypeError, r"must map points \(N, 3\)"),
         ({"module": lambda: nn.Linear(3, 4)}, TypeError, "3 points to 3 real values"),
         ({"module": lambda: "my_nets.py:make"}, TypeError, "module must be a torch module to train"),
-        ({"module": frozen}, ValueError, "All parameters of the Ball are frozen"),
+        ({"module": frozen}, ValueError, "module has nothing to train: all parameters of the Ball are frozen"),
         ({"module": Detached}, ValueError, "detach|derivative"),
         ({"module": OnlyOnce}, ValueError, "differentiable twice"),
         ({"module": Idle}, ValueError, "do not depend on any of its parameters"),
