@@ -182,8 +182,8 @@ def starting_field(
     trained = [name for name, parameter in named.items() if parameter.requires_grad]
     if named and not trained:
         raise ValueError(
-            f"module has nothing to train: all parameters of the {type(module).__name__} are frozen. Thaw those that are "
-            "to be trained by requires_grad_(True)."
+            f"module has nothing to train: all parameters of the {type(module).__name__} are frozen. Thaw those that "
+            "are to be trained by requires_grad_(True)."
         )
     box = unit_box(dimension) if bounds is None else bounds
     names = trained if len(trained) < len(named) else None
