@@ -43,7 +43,8 @@ MORE_ARGUMENTS = {
     "implicit/edits/rigid.py::rigid_edit": (15, "the eight, and a weight for each of the four terms of the energy"),
     "implicit/edits/smoothing.py::smooth": (18, "the eight, a law of motion with its time, and what ends and holds it"),
     # The samples are three arrays; each option stands alone in fit_mesh and in the command line, with its default.
-    "implicit/fitting/fit.py::fit_field": (20, "three arrays, five for the network, the rest for one long training"),
+    "implicit/fitting/fit.py::fit_field": (22, "three arrays, seven for what is trained, the rest for one long training"),
+    "compare/fitting/fit.py::fit_mesh": (13, "the mesh, four for the network, and how it is mended and trained"),
 }
 
 
