@@ -41,10 +41,16 @@ MORE_ARGUMENTS = {
     # Every edit takes the field, points, damping, constraints, resolution, track, progress and seed: eight.
     "implicit/edits/geometric.py::geometric_edit": (13, "the eight, two for the target, three for how it is reached"),
     "implicit/edits/rigid.py::rigid_edit": (15, "the eight, and a weight for each of the four terms of the energy"),
-    "implicit/edits/smoothing.py::smooth": (18, "the eight, a law of motion with its time, and what ends and holds it"),
+    "implicit/edits/smoothing.py::smooth": (
+        19,
+        "the eight, a law of motion with its time and form, and what ends and holds it",
+    ),
     # The samples are three arrays; each option stands alone in fit_mesh and in the command line, with its default.
-    "implicit/fitting/fit.py::fit_field": (22, "three arrays, seven for what is trained, the rest for one long training"),
-    "compare/fitting/fit.py::fit_mesh": (13, "the mesh, four for the network, and how it is mended and trained"),
+    "compare/fitting/fit.py::fit_mesh": (13, "the mesh, those of fit_field that a command has, and its samples"),
+    "implicit/fitting/fit.py::fit_field": (
+        22,
+        "three arrays, five for a network or one of the caller's, the rest for one training",
+    ),
 }
 
 

@@ -10,6 +10,7 @@ matrix and one factor, whatever the number of steps.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.arguments import require_positive, require_whole
+from implicit.edits.enough_points import carriers
 from implicit.edits.geometric_parts import OFF_SURFACE_STRENGTH, GeometricOperation, PartSchedule
 from implicit.edits.handles import Handle
 from implicit.edits.targets import Rest, SummedTargets, checked_handles
@@ -51,7 +53,8 @@ class Expressibility:
         error: Predicted achieved minus target over the largest target (N,), as Edit.error_field will be.
         rms, largest: Root mean square of the error over the area that has a target, and its largest size.
         unmet: Root of the share of the squared target that will be missed: 0 for all met, 1 for nothing met.
-        rank: Number of parameter directions that the target's points decide at this damping.
+        rank: Number of parameter directions that the target's points decide at this damping; NaN where the solve is
+            iterative and nothing tells it, and `sentence` then leaves it out.
         condition: Estimated condition number of the damped system.
         damping: Damping that the first step of the edit ends up with.
         steps: Number of equal sub-steps that were assumed.
@@ -75,11 +78,12 @@ class Expressibility:
     def __repr__(self) -> str:
         count, dimension = self.points.shape
         precision = str(self.points.dtype).removeprefix("torch.")
+        rank = "" if math.isnan(self.rank) else f"rank {self.rank:.0f}, "
         return (
             f"Expressibility: {self.verdict.name} in {self.steps} steps, at {count:,} points in {dimension}D "
             f"({precision}, {self.points.device})\n"
             f"  of the largest target: error {self.rms:.3g} rms, {self.largest:.3g} at most; of the target: "
-            f"{self.unmet:.3g} unmet; rank {self.rank:.0f}, damping {self.damping:.3g}"
+            f"{self.unmet:.3g} unmet; {rank}damping {self.damping:.3g}"
         )
 
     @property
@@ -97,10 +101,10 @@ class Expressibility:
 
     def sentence(self) -> str:
         """Return the prediction in words."""
+        directions = "" if math.isnan(self.rank) else f", with {self.rank:.0f} of the parameters' directions"
         words = (
             f"{self.verdict.value} Predicted error {100 * self.rms:.2g} % rms, {100 * self.largest:.2g} % at most, of "
-            f"the largest target; {100 * self.unmet:.2g} % of the target is out of reach, with {self.rank:.0f} of "
-            f"the parameters' directions."
+            f"the largest target; {100 * self.unmet:.2g} % of the target is out of reach{directions}."
         )
         missed = self.missed
         if len(missed) == 0:
@@ -129,7 +133,8 @@ def expressibility(
         field: The field as it is.
         handles, rest, damping, least_alignment, off_surface_strength, seed: Options of geometric_edit.
         steps: Number of equal sub-steps of the edit in mind. More of them come closer, for each corrects those before.
-        points: Number of points that carry the target; as many others judge the prediction.
+        points: Number of points that carry the target, of a grid more where it needs them, as in geometric_edit; as
+            many others as were asked for judge the prediction.
 
     Returns:
         The prediction. It is linear: what the field learns by moving, it cannot know.
@@ -143,8 +148,7 @@ def expressibility(
     require_whole("points", points)
     require_positive("off_surface_strength", off_surface_strength, or_zero=True)
     targets_of = partial(SummedTargets, listed, rest=rest, least_alignment=least_alignment)
-    sample = sample_surface(field, points, seed=seed)
-    targets_of(sample.points, sample.normals).require_points_in_each_region()
+    sample = carriers(field, points, targets_of, seed=seed).sample
     schedule = PartSchedule.of(steps)
     operation = GeometricOperation(field, targets_of, sample, schedule, damping, off_surface_strength, None, seed)
     others = sample_surface(field, points, seed=seed + 1)

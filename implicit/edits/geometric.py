@@ -14,6 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.arguments import require_positive, require_whole
+from implicit.edits.enough_points import carriers
 from implicit.edits.geometric_parts import MOST_PARTS, OFF_SURFACE_STRENGTH, GeometricOperation, PartSchedule
 from implicit.edits.handles import Handle
 from implicit.edits.targets import Rest, SummedTargets, checked_handles
@@ -24,7 +25,6 @@ from implicit.field.field import Field
 from implicit.renamed import renamed
 from implicit.sensitivity.shape_functionals import Functional
 from implicit.surface.quadrature import SurfaceSample
-from implicit.surface.sampling import carrying_points
 from implicit.surface.soundness import field_soundness
 
 
@@ -54,7 +54,9 @@ def geometric_edit(
         rest: Target of points in no region: "fixed" at zero, "free", or fixed with this weight.
         steps: Equal sub-steps; None chooses their number as the edit goes, from the linearity error of each.
         points: Number of points that carry the target, or the sample itself. They travel with the surface, and are
-            drawn anew, more of them, where they have thinned out.
+            drawn anew, more of them, where they have thinned out. Where each parameter acts near its own place alone
+            (grids), as many are drawn as hold the surface between them too, up to 32,000, and `notes` says so; a
+            sample of one's own is kept, and `notes` says how many would do.
         damping: Penalty on |d_theta|^2; None adapts it to the linearity error.
         constraints: Functionals to hold during the edit, such as Volume() or Area().
         least_alignment: Points whose displacement makes a smaller cosine than this with the normal are left free.
@@ -77,10 +79,10 @@ def geometric_edit(
     if steps is not None:
         require_whole("steps", steps)
     require_positive("off_surface_strength", off_surface_strength, or_zero=True)
-    sample = carrying_points(field, points, seed=seed)
     targets_of = partial(SummedTargets, listed, rest=rest, least_alignment=least_alignment)
+    carrying = carriers(field, points, targets_of, seed=seed)
+    sample = carrying.sample
     targets = targets_of(sample.points, sample.normals)
-    targets.require_points_in_each_region()
     before = field_soundness(field, resolution)
     schedule = PartSchedule.of(steps, targets.largest() / field.size)
     operation = GeometricOperation(field, targets_of, sample, schedule, damping, off_surface_strength, track, seed)
@@ -96,7 +98,7 @@ def geometric_edit(
         asked=lambda points, normals: _target_and_directions(targets_of(points, normals)),
         progress=progress,
     )
-    return with_evidence(edit, before, resolution)
+    return with_evidence(carrying.judged(edit), before, resolution)
 
 
 def _target_and_directions(targets: SummedTargets) -> tuple[Tensor, Tensor]:

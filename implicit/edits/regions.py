@@ -20,6 +20,7 @@ from implicit.arguments import require_callable, require_numbers, require_positi
 
 RegionLike = Callable[[Tensor], Tensor]
 Vector = Sequence[float] | Tensor
+Points = Sequence[Sequence[float | int]] | Tensor
 
 
 class Region(ABC):
@@ -119,7 +120,7 @@ class HalfSpace(Region):
 class NearPoints(Region):
     """Points within `radius` of any of `centers` (M, D): a set picked on a mesh, for instance."""
 
-    centers: Float[Tensor, "m d"]
+    centers: Float[Tensor, "m d"] | Sequence[Sequence[float | int]]
     radius: float
     falloff: float = 0.0
 
@@ -144,7 +145,7 @@ def _sink(distance: Tensor, falloff: float) -> Tensor:
     return (1 - t**3 * (10 - 15 * t + 6 * t**2)).clamp(0, 1)  # rounding leaves the range near both ends
 
 
-def like(vector: Vector | Tensor, points: Tensor, name: str = "The region") -> Tensor:
+def like(vector: Vector | Points, points: Tensor, name: str = "The region") -> Tensor:
     """Return a vector, or points, in the dtype and on the device of points; refuse other dimensions than theirs."""
     value = exact(vector, points)
     if value.shape[-1] != points.shape[1]:
@@ -163,7 +164,7 @@ def require_place(name: str, value: Vector) -> Tensor:
     return place
 
 
-def exact(value: Vector | float, of: Tensor) -> Tensor:
+def exact(value: Vector | Points | float, of: Tensor) -> Tensor:
     """Return the value in the other's dtype; plain numbers go there without torch's default of single precision."""
     return value.to(of) if isinstance(value, Tensor) else torch.as_tensor(value, dtype=of.dtype, device=of.device)
 

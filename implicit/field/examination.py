@@ -10,18 +10,14 @@ point speaks against a module only if no step agrees: kinks, saturation and roun
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import torch
 from torch import Tensor, nn
 
+from implicit.field.differentiable import Differentiable
 from implicit.field.evaluator import OfDecoder, OfModule
 from implicit.field.forms import SHAPES, Form, described
-from implicit.field.frozen import guarded
+from implicit.field.frozen import guarded, is_compiled, unwrapped
 from implicit.field.torch_errors import first_line, in_our_words, meaning
-
-if TYPE_CHECKING:
-    from implicit.field.field import Field
 
 # Points drawn in the bounds, points of them looked at closely, points of those alone, and halvings that bring points
 # near the surface: to 1/256 of a segment, where an occupancy that saturates still has a slope.
@@ -42,7 +38,9 @@ _BATCH = (
 _CUT = "Remove detach(), .data, numpy, round-offs and torch.no_grad() from its forward"
 
 
-def examine(field: Field, live: nn.Module | None, *, derivatives: bool = True) -> tuple[Tensor, tuple[str, ...]]:
+def examine(
+    field: Differentiable, live: nn.Module | None, *, derivatives: bool = True
+) -> tuple[Tensor, tuple[str, ...]]:
     """Return points near the field's surface, where it was looked at, and notes of what a reader should know.
 
     Args:
@@ -72,7 +70,7 @@ def examine(field: Field, live: nn.Module | None, *, derivatives: bool = True) -
 # Values
 
 
-def _require_values(field: Field, evaluator: OfModule | OfDecoder) -> None:
+def _require_values(field: Differentiable, evaluator: OfModule | OfDecoder) -> None:
     """Refuse what does not map 5 points to 5 real values, and say in which form it would."""
     points = _drawn(field, 5)
     with torch.no_grad():
@@ -112,7 +110,7 @@ def _places(form: Form, result: object) -> str:
     return f" Say which of them are the values: {' or '.join(found)}." if found else ""
 
 
-def _other_forms(field: Field, points: Tensor) -> str:
+def _other_forms(field: Differentiable, points: Tensor) -> str:
     """Return in which other form the module takes points and gives each its own value, in words; "" where in none."""
     evaluator = field._evaluator
     if evaluator.form.inputs is not None:
@@ -135,7 +133,7 @@ def _other_forms(field: Field, points: Tensor) -> str:
     return some
 
 
-def _require_settled(field: Field, points: Tensor, values: Tensor) -> None:
+def _require_settled(field: Differentiable, points: Tensor, values: Tensor) -> None:
     """Refuse values that differ from one call to the next, or with the points beside them."""
     finite = values[torch.isfinite(values)]
     if len(finite) == 0:
@@ -170,7 +168,7 @@ def _require_settled(field: Field, points: Tensor, values: Tensor) -> None:
         )
 
 
-def _is_crossed(field: Field, points: Tensor) -> bool:
+def _is_crossed(field: Differentiable, points: Tensor) -> bool:
     """Return whether the values at some points have a gradient by other points, which is exactly zero otherwise."""
     x = points[:CLOSE].clone().requires_grad_()
     with torch.enable_grad(), in_our_words("be differentiated by the points"):
@@ -181,9 +179,9 @@ def _is_crossed(field: Field, points: Tensor) -> bool:
     return crossed is not None and bool((crossed[CLOSE // 2 :].nan_to_num(0.0) != 0).any())
 
 
-def _require_same_as(field: Field, live: nn.Module, points: Tensor, values: Tensor) -> None:
+def _require_same_as(field: Differentiable, live: nn.Module, points: Tensor, values: Tensor) -> None:
     """Refuse a module whose frozen copy is another function than itself."""
-    if any(parameter.dtype != field.dtype for parameter in live.parameters()):
+    if any(parameter.dtype != field.dtype for parameter in live.parameters()) or is_compiled(live := unwrapped(live)):
         return
     try:
         with guarded(live), torch.no_grad():
@@ -204,7 +202,7 @@ def _require_same_as(field: Field, live: nn.Module, points: Tensor, values: Tens
 # Derivatives
 
 
-def _require_derivatives(field: Field, points: Tensor) -> tuple[str, ...]:
+def _require_derivatives(field: Differentiable, points: Tensor) -> tuple[str, ...]:
     """Refuse derivatives that are cut off or not those of the values; return a note of parameters that move nothing."""
     x, theta = points.clone().requires_grad_(), field.theta.detach().clone().requires_grad_()
     weights = _signs(len(points), 3, 7).to(points)
@@ -254,7 +252,7 @@ def _require_derivatives(field: Field, points: Tensor) -> tuple[str, ...]:
     return (f"Some parameters do not move the surface at {len(points)} points of it: {', '.join(names[:5])}.",)
 
 
-def _in_double(field: Field, points: Tensor) -> tuple[Field, Tensor]:
+def _in_double(field: Differentiable, points: Tensor) -> tuple[Differentiable, Tensor]:
     """Return field and points in float64, or as they are where the module cannot work in it."""
     if field.dtype != torch.float32:
         return field, points
@@ -272,14 +270,14 @@ def _in_double(field: Field, points: Tensor) -> tuple[Field, Tensor]:
     return double, points.double()
 
 
-def _reaches(field: Field, points: Tensor) -> bool:
+def _reaches(field: Differentiable, points: Tensor) -> bool:
     """Return whether the values have any graph to the parameters."""
     theta = field.theta.detach().clone().requires_grad_()
     with torch.enable_grad():
         return bool(field.function(theta, points).requires_grad)
 
 
-def _slopes_agree(field: Field, points: Tensor, gradients: Tensor) -> bool:
+def _slopes_agree(field: Differentiable, points: Tensor, gradients: Tensor) -> bool:
     directions = torch.nn.functional.normalize(_signs(len(points), points.shape[1], 3).to(points), dim=1)
     steps = torch.tensor(STEPS, dtype=torch.float64).to(points) * field.size
     way = steps[:, None, None] * directions
@@ -290,7 +288,7 @@ def _slopes_agree(field: Field, points: Tensor, gradients: Tensor) -> bool:
     return _agree((ahead - behind) / (2 * steps[:, None]), slopes.expand(len(steps), -1), ahead.abs(), steps)
 
 
-def _products_agree(field: Field, points: Tensor, gradients: Tensor, weights: Tensor) -> bool:
+def _products_agree(field: Differentiable, points: Tensor, gradients: Tensor, weights: Tensor) -> bool:
     """Compare products of df/dtheta, summed with weights, with differences along one direction of the parameters."""
     direction = _of_own_size(field) * _signs(len(field.theta), 1, 5)[:, 0].to(field.theta)
     steps = torch.tensor(STEPS, dtype=torch.float64).to(points)
@@ -314,7 +312,7 @@ def _agree(differences: Tensor, slopes: Tensor, sizes: Tensor, steps: Tensor) ->
     return int(agreed.sum()) * 2 >= len(agreed)
 
 
-def _moved_unseen(field: Field, points: Tensor, still: list) -> list[str]:  # type: ignore[type-arg]
+def _moved_unseen(field: Differentiable, points: Tensor, still: list) -> list[str]:  # type: ignore[type-arg]
     """Return the names of parameters that move the values, although no gradient by them was found."""
     names = []
     size = _of_own_size(field)
@@ -336,7 +334,7 @@ def _moved_unseen(field: Field, points: Tensor, still: list) -> list[str]:  # ty
     return names
 
 
-def _of_own_size(field: Field) -> Tensor:
+def _of_own_size(field: Differentiable) -> Tensor:
     """Return the size of each parameter, or of the others of its tensor where that is more."""
     size = field.theta.abs()
     rest = float(size.square().mean().sqrt()) or 1.0
@@ -349,7 +347,7 @@ def _of_own_size(field: Field) -> Tensor:
 # Points
 
 
-def _drawn(field: Field, n: int) -> Tensor:
+def _drawn(field: Differentiable, n: int) -> Tensor:
     generator = torch.Generator().manual_seed(0)
     draw = torch.rand(n, field.dimension, generator=generator, dtype=torch.float64).to(field.theta)
     return field.bounds[0] + draw * (field.bounds[1] - field.bounds[0])
@@ -362,7 +360,7 @@ def _signs(n: int, columns: int, seed: int) -> Tensor:
     return draw.sign() * (0.5 + draw.abs() / 2)
 
 
-def _near_surface(field: Field, points: Tensor, values: Tensor) -> Tensor:
+def _near_surface(field: Differentiable, points: Tensor, values: Tensor) -> Tensor:
     """Return CLOSE points near f = 0, by halving between points of either sign; any points where there is one alone."""
     inside, outside = points[values < 0], points[values > 0]
     if len(inside) == 0 or len(outside) == 0:

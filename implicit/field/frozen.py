@@ -15,6 +15,7 @@ import copy
 import functools
 import operator
 import sys
+import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, MutableMapping
 from types import CellType, CodeType, FunctionType, MethodType, SimpleNamespace
@@ -58,6 +59,7 @@ class Frozen:
         copying = _Copying(dtype, device)
         self.function: Callable[..., Any] = copying.of(source)
         self._copying = copying
+        self._lock = threading.RLock()
         self._kept = [kept for part in copying.modules for kept in _kept(part)]
 
     def also(self, value: Any) -> Any:
@@ -83,17 +85,24 @@ class Frozen:
     def __call__(self, edited: Iterable[tuple[list[Place], Tensor]], *arguments: Any) -> Any:
         """Return what the function gives with other tensors in some of its places."""
         before = []
-        try:
-            for places, tensor in edited:
-                for where, key in places:
-                    before.append((where, key, where[key]))
+        with self._lock:  # another thread's parameters must not stand there meanwhile
+            try:
+                for places, tensor in edited:
+                    for where, key in places:
+                        before.append((where, key, where[key]))
+                        where[key] = tensor
+                return self.function(*arguments)
+            finally:
+                for where, key, tensor in reversed(before):
                     where[key] = tensor
-            return self.function(*arguments)
-        finally:
-            for where, key, tensor in reversed(before):
-                where[key] = tensor
-            for kept in self._kept:
-                kept.restore()
+                for kept in self._kept:
+                    kept.restore()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_lock"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _lock=threading.RLock())
 
 
 def unwrapped(module: nn.Module) -> nn.Module:
@@ -101,6 +110,17 @@ def unwrapped(module: nn.Module) -> nn.Module:
     while type(module).__name__ in _WRAPPERS and type(module).__module__.startswith("torch."):
         module = getattr(module, _WRAPPERS[type(module).__name__])
     return module
+
+
+def is_compiled(module: nn.Module) -> bool:
+    """Return whether calling a module would compile some of it, which takes seconds."""
+    copying = _Copying(None, None)
+    return any(
+        type(part).__name__ == "OptimizedModule"
+        or part.__dict__.get("_compiled_call_impl") is not None
+        or bool(copying.compiled(type(part)))
+        for part in module.modules()
+    )
 
 
 class guarded:
@@ -243,11 +263,11 @@ class _Copying:
                 # A list or dictionary that forward may write to: the copy has its own in any case.
                 made.__dict__[name] = part.copy() if other is part and type(part) in _WRITABLE else other
         made.__dict__["training"] = False
-        for name, plain in self._compiled(type(value)).items():
+        for name, plain in self.compiled(type(value)).items():
             made.__dict__[name] = MethodType(plain, made)
         return made
 
-    def _compiled(self, kind: type) -> dict[str, FunctionType]:
+    def compiled(self, kind: type) -> dict[str, FunctionType]:
         """Return the methods of a class that are compiled, as they were written."""
         if kind not in self._classes:
             self._classes[kind] = {

@@ -13,16 +13,13 @@ plane, O(h^2) on a sphere, and 1 on a piecewise linear field, whose whole change
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from implicit.arguments import require_positive
-
-if TYPE_CHECKING:
-    from implicit.field.field import Field
+from implicit.field.differentiable import Differentiable
 
 # Points at which second derivatives are held against differences, and the steps over the size of the bounds.
 LOOKED_AT = 8
@@ -54,7 +51,9 @@ class GradientJumps:
         return self.share
 
 
-def gradient_jumps(field: Field, points: Float[Tensor, "n d"], spacing: float, *, seed: int = 0) -> GradientJumps:
+def gradient_jumps(
+    field: Differentiable, points: Float[Tensor, "n d"], spacing: float, *, seed: int = 0
+) -> GradientJumps:
     """Return the share of the change of the gradient between near points that the Hessian does not explain.
 
     From each point one step is taken along each of D - 1 directions of the tangent plane, drawn at random and at right
@@ -88,7 +87,7 @@ def gradient_jumps(field: Field, points: Float[Tensor, "n d"], spacing: float, *
     return GradientJumps(share, changes, left, float(spacing))
 
 
-def second_derivatives_missing(field: Field, points: Float[Tensor, "n d"]) -> str:
+def second_derivatives_missing(field: Differentiable, points: Float[Tensor, "n d"]) -> str:
     """Return why the second derivatives at the points are not those of the gradient; "" where they are.
 
     H v along random directions v is held against central differences of the gradient, in float64 where the module can,
@@ -132,7 +131,7 @@ def second_derivatives_missing(field: Field, points: Float[Tensor, "n d"]) -> st
     )
 
 
-def _differences(field: Field, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _differences(field: Differentiable, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return central differences of the gradient (S, N, D), their directions (N, D) and the gradient's lengths (N,)."""
     generator = torch.Generator().manual_seed(11)
     draw = torch.randn(x.shape, generator=generator, dtype=torch.float64).to(x)
@@ -145,7 +144,7 @@ def _differences(field: Field, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return (ahead - behind) / (2 * steps[:, None, None]), directions, length
 
 
-def _gradient_and_hessian(field: Field, points: Tensor) -> tuple[Tensor, Tensor]:
+def _gradient_and_hessian(field: Differentiable, points: Tensor) -> tuple[Tensor, Tensor]:
     """Return gradients and Hessians, zero where the module has none."""
     try:
         return field.raw_gradient_and_hessian(points)

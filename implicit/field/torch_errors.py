@@ -62,8 +62,8 @@ def refusal(doing: str, error: BaseException) -> TypeError:
     return TypeError(f"The module or decoder could not {doing} ({first_line(error)}). {hint}")
 
 
-class _RefusalError(TypeError):
-    """A refusal in our words, which passes through further calls as it is."""
+class ModuleError(TypeError):
+    """What a user's module or torch failed at, in our words; it passes through further calls as it is."""
 
 
 @contextmanager
@@ -78,12 +78,12 @@ def in_our_words(doing: str) -> Iterator[None]:
     """
     try:
         yield
-    except (_RefusalError, MemoryError):
+    except (ModuleError, MemoryError):
         raise
     except Exception as error:
         if is_memory(error):
             raise
-        raise _RefusalError(str(refusal(doing, error))) from error
+        raise ModuleError(str(refusal(doing, error))) from error
 
 
 def is_memory(error: BaseException) -> bool:

@@ -2,7 +2,7 @@
 
     F(x, y, z) = F_yz(y, z) + F_xz(x, z) + F_xy(x, y),    or the three side by side, or their product
 
-Source: Chan et al., "Efficient geometry-aware 3D generative adversarial networks", CVPR 2022, arXiv:2112.07945, sec. 4.1.
+Source: Chan et al., "Efficient geometry-aware 3D generative adversarial networks", CVPR 2022, arXiv:2112.07945, 4.1.
 """
 
 from __future__ import annotations

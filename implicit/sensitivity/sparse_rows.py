@@ -59,7 +59,7 @@ def has_sparse_rows(field: Field, points: Float[Tensor, "n d"]) -> bool:
     if len(field.theta) < LEAST_PARAMETERS:
         return False
     probes = points[torch.linspace(0, len(points) - 1, min(PROBES, len(points))).long()]
-    return float((_by_blocks(field, probes) != 0).sum()) <= ACTING * len(probes) * len(field.theta)
+    return _by_blocks(field, probes).nnz <= ACTING * len(probes) * len(field.theta)
 
 
 def sparse_parameter_gradient(field: Field, points: Float[Tensor, "n d"]) -> csr_array:
@@ -87,7 +87,7 @@ def _by_blocks(field: Field, points: Tensor) -> csr_array:
 def _by_local_values(field: Field, points: Tensor) -> csr_array:
     """Return the rows of a module that says which parameters act where."""
     module = field.module
-    assert isinstance(module, LocalModule) and module is not None
+    assert isinstance(module, LocalModule)
     local_blocks, other_blocks = _local_blocks(field)
     others = {block.name: field.theta[block.where].view(block.shape) for block in other_blocks}
     theta = {block.name: field.theta[block.where] for block in local_blocks}

@@ -120,7 +120,8 @@ class WeakSurface:
         """Return the sums over the cells at each vertex of what each corner gets, (m, D, ...) to (V, ...)."""
         flat = shares.reshape(self.faces.size, -1)
         sums = [np.bincount(self.faces.ravel(), column, len(self.vertices)) for column in flat.T]
-        return np.stack(sums, axis=1).reshape(len(self.vertices), *shares.shape[2:])
+        total: FloatArray = np.stack(sums, axis=1).astype(np.float64)
+        return total.reshape(len(self.vertices), *shares.shape[2:])
 
     @cached_property
     def curvature_vectors(self) -> FloatArray:

@@ -111,7 +111,7 @@ def assemble(problem: StepProblem) -> LeastSquares:
     """
     space, energies = problem.space, problem.energies
     if _is_sparse(problem):
-        system = LeastSquares(space.size, space.field.theta, tolerance=1e-8, sparse=True)
+        system = LeastSquares(space.size, space.field.theta, tolerance=1e-6, sparse=True)
         for target in united(space.field, _targets(problem)):
             system.add(target.sparse_rows(space))
         return system

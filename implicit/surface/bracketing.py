@@ -28,7 +28,7 @@ NARROWED = 100.0
 
 @dataclass(frozen=True, eq=False)
 class Zeros:
-    """Places where f changes its sign on segments.
+    """Changes of the sign of f, one on each of some segments.
 
     Attributes:
         points: The end of the last bracket with the smaller |f|, (N, D).

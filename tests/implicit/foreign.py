@@ -333,29 +333,6 @@ class Attention(nn.Module):
         return self.last(torch.softmax(self.keys(points), dim=-1) * torch.sin(self.values(points)))
 
 
-class _Doubled(torch.autograd.Function):
-    """The identity, whose gradient is twice what it should be."""
-
-    @staticmethod
-    def forward(ctx, x):  # type: ignore[no-untyped-def]
-        return x.clone()
-
-    @staticmethod
-    def backward(ctx, gradient):  # type: ignore[no-untyped-def]
-        return 2 * gradient
-
-
-class OwnGradient(nn.Module):
-    """An operator with a gradient of its own, which its values do not tell."""
-
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.first, self.last = nn.Linear(3, width), nn.Linear(width, 1)
-
-    def forward(self, points: Tensor) -> Tensor:
-        return self.last(torch.sin(_Doubled.apply(self.first(points))))
-
-
 class Branching(nn.Module):
     """A different layer where the numbers say so."""
 
@@ -369,18 +346,6 @@ class Branching(nn.Module):
             layer = self.near if float(point.detach().norm()) < 0.7 else self.far
             rows.append(torch.tanh(layer(point)))
         return self.last(torch.stack(rows))
-
-
-class Pooled(nn.Module):
-    """A value that depends on the other points."""
-
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.first, self.last = nn.Linear(3, width), nn.Linear(width, 1)
-
-    def forward(self, points: Tensor) -> Tensor:
-        x = torch.tanh(self.first(points))
-        return self.last(x + x.mean(dim=0, keepdim=True))
 
 
 def _ball(size: int) -> Tensor:
@@ -435,12 +400,10 @@ ARCHITECTURES: dict[str, Callable[[], nn.Module]] = {
     "tri-plane": lambda: TriPlane(6),
     "hash-grid": lambda: HashGrid(6),
     "attention": lambda: Attention(8),
-    "own-gradient": lambda: OwnGradient(8),
     "branching": lambda: Branching(6),
-    "pooled": lambda: Pooled(8),
 }
 
-GENERAL = ("dense-grid", "tri-plane", "hash-grid", "attention", "own-gradient", "branching", "pooled")
+GENERAL = ("dense-grid", "tri-plane", "hash-grid", "attention", "branching")
 
 
 def make(name: str, dtype: torch.dtype = torch.float64) -> nn.Module:

@@ -36,7 +36,7 @@ FUNCTIONS = {
 
 
 def zeros_of(function, low, high, tolerance=1e-12):
-    field = Field(AlongX(function))
+    field = Field(AlongX(function), check=False)
     start, end = (torch.tensor([[x, 0.1, -0.2]], dtype=torch.float64) for x in (low, high))
     return bracketed_zeros(field, start, end, field.value(start), field.value(end), tolerance)
 
