@@ -183,7 +183,7 @@ def starting_field(
     trained = [name for name, parameter in named.items() if parameter.requires_grad]
     if named and not trained:
         raise ValueError(
-            f"All parameters of the {type(module).__name__} are frozen, so there is nothing to train. Thaw those that "
+            f"module has nothing to train: all parameters of the {type(module).__name__} are frozen. Thaw those that "
             "are to be trained by requires_grad_(True)."
         )
     box = unit_box(dimension) if bounds is None else bounds

@@ -95,7 +95,7 @@ def encode_field(field: Field, *, builder: str | None = None, arguments: Mapping
     # One entry: safetensors writes several in any order, and the same field should give the same bytes.
     metadata = {"field": json.dumps(header)}
     content = save({name: tensor.clone() for name, tensor in state.items()}, metadata=metadata)
-    make = None if builder is None else named_function(builder)
+    make = None if builder is None else _function("builder", builder)
     try:
         again = _assembled(json.loads(metadata["field"]), load(content), make, field.device)
         read_back = again.value(points.to(again.theta))
@@ -140,7 +140,7 @@ def load_field(path: str | PathLike[str], *, module: Maker | None = None, device
         )
     if module is not None and not isinstance(module, str) and not callable(module):
         raise TypeError(f"module must be {FORMS}, a function or a torch module, but is {module!r}.")
-    make = named_function(module) if isinstance(module, str) else module
+    make = _function("module", module) if isinstance(module, str) else module
     try:
         field = _assembled(header, state, make, device)
         off = _off_probes(field, header)
@@ -188,7 +188,7 @@ def _recipe(field: Field, builder: str | None, arguments: Mapping[str, Any] | No
             "cannot be seen. Make it a torch module that describes itself or that a builder builds."
         )
     if builder is not None:
-        split_name(builder)
+        _function("builder", builder, split_name)
         if arguments is not None and not isinstance(arguments, Mapping):
             raise TypeError(f"arguments must be a dictionary of keyword arguments, but are {arguments!r}.")
         given = {} if arguments is None else dict(arguments)
@@ -298,7 +298,15 @@ def _off_probes(field: Field, header: Mapping[str, Any]) -> float | None:
 def _remedy(builder: str | None) -> str:
     if builder is None:
         return "Let describe() state all that makes the module, and keep the rest in parameters and buffers."
-    return f"Check that {builder} and its arguments build that module, and keep the rest in parameters and buffers."
+    return f"Check that the builder {builder} and its arguments build that module, and keep all else in its state."
+
+
+def _function(argument: str, name: str, look: Callable[[str], Any] = named_function) -> Any:
+    """Return the function of a name, or refuse the argument that has it."""
+    try:
+        return look(name)
+    except (ValueError, TypeError) as error:
+        raise type(error)(f"{argument} cannot be used. {error}") from error
 
 
 # What is read

@@ -2,6 +2,8 @@
 
 import json
 import pickle
+import re
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +15,7 @@ from torch import nn
 import implicit
 import implicit.shapes
 import meshref
-from compare import Case, fit_mesh, run_case, run_cases
+from compare import Case, fit_mesh, prepare_subject, run_case, run_cases
 from compare.cases.case import NameOfFile
 from compare.errors import InputError
 from compare.runs.executors import executor_of
@@ -107,9 +109,9 @@ def test_keys_differ_by_the_module_and_are_those_of_before_without_one(ball):
 
 def test_a_case_of_ones_own_field_is_run_and_its_results_load_again(ball):
     record = run_case(a_case(), folder=ball / "run")
-    again = run_case(a_case(), folder=ball / "run")  # its subject is read back
     assert not record.failed
-    assert record.key == again.key
+    subject = prepare_subject(a_case(), folder=ball / "run")  # read back from there
+    assert subject.field.theta.numel() == 10
     path = ball / "run" / record.artefacts["field"].path
     assert implicit.load_field(path, module="nets.py:make").theta.numel() == 10
     with pytest.raises(ValueError, match="No code is run because a file names it"):
@@ -263,3 +265,11 @@ def test_the_command_fits_a_module_that_it_names_and_the_file_runs_nothing(ball,
         implicit.load_field(ball / "own.safetensors")
     assert not (ball / "was-run").exists()
     assert implicit.load_field(ball / "own.safetensors", module="nets.py:network").theta.numel() == 721
+
+
+def test_the_page_on_networks_of_ones_own_runs(tmp_path):
+    page = Path(__file__).resolve().parents[2] / "docs" / "own-networks.md"
+    (snippet,) = re.findall(r"^```python\n(.*?)^```$", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+    ended = subprocess.run([sys.executable, "-c", snippet], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert "P = 721" in ended.stdout

@@ -37,6 +37,7 @@ def cases() -> Iterator[BadCase]:
     yield from _of_functionals()
     yield from _of_fits()
     yield from _of_files()
+    yield from _of_own_modules()
     yield from _of_shapes()
 
 
@@ -820,6 +821,18 @@ def _of_fits() -> Iterator[BadCase]:
         "fit_field", "dtype", [("of whole numbers", torch.int64), ("a word", "float")], lambda x: fit(dtype=x)
     )
     yield from refusals("fit_field", "units", [("a number", 3.0)], lambda x: fit(units=x))
+    modules: list[Bad] = [
+        ("a word", "my_nets.py:make"), ("a class", nn.Linear), ("a function", torch.sin), ("a field", BALL),
+        ("frozen", nn.Linear(3, 1).requires_grad_(False)), ("of two coordinates", nn.Linear(2, 1)),
+        ("of four values", nn.Linear(3, 4)), ("without parameters", nn.ReLU()),
+        ("on another device", nn.Linear(3, 1).to("meta")),
+    ]  # fmt: skip
+    own = {"width": 32, "depth": 3}
+    yield from refusals("fit_field", "module", modules, lambda x: fit(module=x, **own))
+    starts: list[Bad] = [("a word", "spot"), ("a module", nn.Linear(3, 1)), ("in the plane", shapes.circle(0.5))]
+    yield from refusals("fit_field", "start", starts, lambda x: fit(start=x, **own))
+    yield BadCase("fit_field: module and start", lambda: fit(module=nn.Linear(3, 1), start=BALL, **own), ("module",))
+    yield BadCase("fit_field: width beside a module", lambda: fit(module=nn.Linear(3, 1)), ("width", "module"))
     yield from refusals(
         "fit_field",
         "checkpoint",
@@ -833,6 +846,56 @@ def _of_fits() -> Iterator[BadCase]:
         return fit(checkpoint="prose.safetensors")
 
     yield BadCase("fit_field: checkpoint prose", from_prose, ("prose.safetensors", "checkpoint"))
+
+
+def _prose(name: str, read: Call) -> object:
+    Path(name).write_text("Dear all, please find the field attached, as agreed.")
+    return read(name)
+
+
+def _of_own_modules() -> Iterator[BadCase]:
+    foreign = implicit.Field(nn.Sequential(nn.Linear(3, 1)))
+    names: list[Bad] = [
+        ("without a function", "my_nets.py"), ("of no file", "gone.py:make"), ("of no module", "gone.nets:make"),
+        ("of another function", "json:make"), ("that builds none", "json:dumps"), ("with a space", "json:ma ke"),
+        ("empty", ""), ("a number", 3), ("a path", "/:make"), ("a class", nn.Linear),
+    ]  # fmt: skip
+    yield from refusals(
+        "save_field", "builder", names, lambda n: implicit.save_field(foreign, "a.safetensors", builder=n)
+    )
+    bad_arguments: list[Bad] = [
+        ("a list", [3]), ("a word", "width"), ("of an array", {"width": np.zeros(3)}), ("of NaN", {"width": np.nan}),
+        ("unknown", {"widht": 3}),
+    ]  # fmt: skip
+    yield from refusals(
+        "save_field", "arguments", bad_arguments,
+        lambda a: implicit.save_field(foreign, "a.safetensors", builder="torch.nn:Linear", arguments=a),
+    )  # fmt: skip
+
+    def of_a_builder(module: Any) -> object:
+        linear = implicit.Field(nn.Linear(3, 1))
+        implicit.save_field(
+            linear, "own.safetensors", builder="torch.nn:Linear", arguments={"in_features": 3, "out_features": 1}
+        )
+        return implicit.load_field("own.safetensors", module=module)
+
+    makers: list[Bad] = [
+        ("not named", None), *[bad for bad in names if bad[0] != "a class"], ("of other shapes", nn.Linear(3, 2)),
+        ("of other tensors", nn.Sequential(nn.Linear(3, 1))),
+    ]  # fmt: skip
+    yield from refusals("load_field", "module", makers, of_a_builder)
+    yield from refusals("load_network", "architecture", choices(), lambda a: implicit.load_network("gone.pt", a))
+    for network in ("auto", "siren", "neus"):
+        yield BadCase(
+            f"load_network: {network} prose.pt",
+            lambda network=network: _prose("prose.pt", lambda p: implicit.load_network(p, network)),
+            ("prose.pt",),
+        )
+    for option in ("first_frequency", "frequency", "scale", "sharpness"):
+        yield from refusals(
+            "load_network", option, [bad for bad in positives() if bad[1] is not None],
+            lambda x, option=option: implicit.load_network("gone.pt", **{option: x}),
+        )  # fmt: skip
 
 
 def _of_files() -> Iterator[BadCase]:
@@ -865,12 +928,8 @@ def _of_files() -> Iterator[BadCase]:
     for what, (old, new) in changes.items():
         yield BadCase(f"load_field: file {what}", lambda old=old, new=new: swapped(old, new), ("swapped.safetensors",))
 
-    def prose(name: str, read: Call) -> object:
-        Path(name).write_text("Dear all, please find the field attached, as agreed.")
-        return read(name)
-
     yield BadCase(
-        "load_field: file prose", lambda: prose("prose.safetensors", implicit.load_field), ("prose.safetensors",)
+        "load_field: file prose", lambda: _prose("prose.safetensors", implicit.load_field), ("prose.safetensors",)
     )
     paths: list[Bad] = [("missing", "gone.safetensors"), ("a folder", "."), ("a device", "/dev/null")]
     yield from refusals("load_field", "path", paths, implicit.load_field, "file")
@@ -895,7 +954,7 @@ def _of_files() -> Iterator[BadCase]:
         load = lambda p, architecture=architecture: implicit.load_checkpoint(p, architecture)  # noqa: E731
         for name in ("prose.pt", "prose.safetensors"):
             yield BadCase(
-                f"load_checkpoint: {architecture} {name}", lambda name=name, load=load: prose(name, load), (name,)
+                f"load_checkpoint: {architecture} {name}", lambda name=name, load=load: _prose(name, load), (name,)
             )
         yield from refusals(
             f"load_checkpoint {architecture}", "path", [("missing", "gone.pt"), ("a folder", ".")], load, "checkpoint"

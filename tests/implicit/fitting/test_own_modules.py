@@ -195,12 +195,12 @@ def frozen():
     ("options", "error", "message"),
     [
         ({"module": lambda: nn.Linear(2, 1)}, TypeError, r"must map points \(N, 3\)"),
-        ({"module": lambda: nn.Linear(3, 4)}, TypeError, "3 points to 3 real values"),
+        ({"module": lambda: nn.Linear(3, 4)}, TypeError, "output=0 or output=1"),
         ({"module": lambda: "my_nets.py:make"}, TypeError, "module must be a torch module to train"),
-        ({"module": frozen}, ValueError, "All parameters of the Ball are frozen"),
-        ({"module": Detached}, ValueError, "detach|derivative"),
+        ({"module": frozen}, ValueError, "module has nothing to train: all parameters of the Ball are frozen"),
+        ({"module": Detached}, TypeError, "Remove detach"),
         ({"module": OnlyOnce}, ValueError, "differentiable twice"),
-        ({"module": Idle}, ValueError, "do not depend on any of its parameters"),
+        ({"module": Idle}, TypeError, "depend on none of them"),
         ({"module": Ball, "start": lambda: SPHERE}, ValueError, "module or start, but not both"),
         ({"module": Ball, "width": lambda: 64}, ValueError, "width is an option of a new network, but module"),
         (

@@ -321,3 +321,14 @@ def test_a_file_of_torch_or_numpy_is_said_to_be_another_format(tmp_path):
             load_field(tmp_path / name)
     with pytest.raises(ValueError, match=r"what numpy.save writes"):
         load_field(tmp_path / "a.npz")
+
+
+def test_where_a_module_gives_its_values_is_kept_but_no_function_that_says_so(nets, tmp_path):
+    nets.write_text(NETS + "def rest():\n    return nn.Linear(3, 4)\n")
+    name = f"{nets}:rest"
+    field = moved(Field(made(nets, "rest"), output=2))
+    save_field(field, tmp_path / "a.safetensors", builder=name)
+    assert torch.equal(load_field(tmp_path / "a.safetensors", module=name).value(points()), field.value(points()))
+    with pytest.raises(TypeError, match="cannot hold the function that the field has as output"):
+        save_field(Field(made(nets, "rest"), output=lambda y: y[:, 2]), tmp_path / "b.safetensors", builder=name)
+    assert not (tmp_path / "b.safetensors").exists()
