@@ -279,7 +279,7 @@ IMPLICIT = [
     ("level of an occupancy", "field/field::Field.function",
      "- self.level) * self.sign", "+ self.level) * self.sign",
      "field/field::inside_is_negative_for_an_occupancy"),
-    ("Newton projection to the surface", "surface/projection::newton_to_surface",
+    ("Newton projection to the surface", "surface/projection::_newton",
      "step = -(f / square", "step = (f / square",
      "surface/quadrature::mesh_of_a_sphere_faces_outward_and_lies_on_it"),
     ("which half of a bracket holds the zero", "surface/bracketing::bracketed_zeros",
