@@ -59,7 +59,7 @@ def simplified(view: View, faces: int) -> View:
     import igl
 
     V, F = igl.qslim(view.V, view.F, faces)[:2]
-    V, F = np.ascontiguousarray(V), np.ascontiguousarray(F)
+    V, F = np.ascontiguousarray(V), np.ascontiguousarray(F).astype(np.int64)  # libigl gives long long
     return View(V, F, view.values[cKDTree(view.V).query(V)[1]])
 
 

@@ -7,7 +7,7 @@ import implicit.shapes
 import meshref
 from compare import Case, HandleSpec
 from compare.errors import InputError
-from compare.runs.operations import edit_field
+from compare.operations.operation import operation_of
 from compare.runs.subject import Subject
 from compare.studies.plan import check_options
 from compare.studies.study import find_study
@@ -30,7 +30,8 @@ def test_a_case_of_before_is_edited_as_one_of_today(operation, former, today):
     outcomes = []
     for options in (former, today):
         parameters = {"steps": 1, "step_size": 1e-4, "implicit": {**SIZE, **options}}
-        outcomes.append(edit_field(Case("ball", operation, handles, parameters), subject))
+        case = Case("ball", operation, handles, parameters)
+        outcomes.append(operation_of(operation).edit_field(case, subject))
     np.testing.assert_array_equal(outcomes[0].displacement, outcomes[1].displacement)
     assert outcomes[0].details["steps"] == outcomes[1].details["steps"]
 
