@@ -232,7 +232,7 @@ def _require_no_network(options: Mapping[str, Any]) -> None:
     for name in ("width", "depth", "activation", "first_frequency", "frequency"):
         if name in options and options[name] != defaults[name]:
             what = "module" if options.get("module") is not None else "start"
-            raise ValueError(f"{name} is an option of a new network, but {what} brings its own. Leave {name} out.")
+            raise ValueError(f"{name} must be left out where {what} brings the network: it is an option of a new one.")
 
 
 _LEARNING_RATES = {

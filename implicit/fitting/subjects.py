@@ -170,7 +170,7 @@ def starting_field(
         if bounds is not None:
             raise ValueError("bounds are those of the start: leave them out, or make the Field with others.")
         if start.dimension != dimension:
-            raise ValueError(f"start has {start.dimension} coordinates, but the points have {dimension}.")
+            raise ValueError(f"start must have {dimension} coordinates like the points, but has {start.dimension}.")
         field = start.to(dtype) if dtype is not None else start.with_theta(start.theta)
         if units is not None:
             field.units = units

@@ -256,7 +256,7 @@ def test_the_command_fits_a_module_that_it_names_and_the_file_runs_nothing(ball,
         assert message in " ".join(ended.stderr.split())
     ended = command(*words, "nets.py:network", "--width", "64", cwd=ball)
     assert ended.returncode == 2
-    assert "width is an option of a new network" in " ".join(ended.stderr.split())
+    assert "width must be left out where module brings the network" in " ".join(ended.stderr.split())
     assert not (ball / "own.safetensors").exists()
     ended = command(*words, "nets.py:network", cwd=ball)
     assert ended.returncode == 0, ended.stderr

@@ -202,14 +202,14 @@ def frozen():
         ({"module": OnlyOnce}, ValueError, "differentiable twice"),
         ({"module": Idle}, TypeError, "depend on none of them"),
         ({"module": Ball, "start": lambda: SPHERE}, ValueError, "module or start, but not both"),
-        ({"module": Ball, "width": lambda: 64}, ValueError, "width is an option of a new network, but module"),
+        ({"module": Ball, "width": lambda: 64}, ValueError, "width must be left out where module brings the network"),
         (
             {"start": lambda: SPHERE, "activation": lambda: "relu"},
             ValueError,
-            "activation is an option of a new network",
+            "activation must be left out where",
         ),
         ({"start": Ball}, TypeError, "start must be a Field"),
-        ({"start": lambda: shapes.circle(0.5)}, ValueError, "start has 2 coordinates, but the points have 3"),
+        ({"start": lambda: shapes.circle(0.5)}, ValueError, "start must have 3 coordinates like the points, but has 2"),
         (
             {"start": lambda: SPHERE, "bounds": lambda: ((-1,) * 3, (1,) * 3)},
             ValueError,
