@@ -598,10 +598,8 @@ def main() -> int:
     if arguments.write:
         current = _keep(found)
         missed = sum(not result.caught for result in current)
-        if len(current) == len(MUTATIONS):
-            PAGE.write_text(page(current))
-        else:
-            print(f"{len(MUTATIONS) - len(current)} are still to run before {PAGE.name} can be made.")
+        PAGE.write_text(page(current))
+        print(f"{len(MUTATIONS) - len(current)} are still to be run.")
     return 1 if missed else 0
 
 
@@ -713,7 +711,8 @@ def page(results: list[Result]) -> str:
             "Each row breaks one formula, and names the test that fails by it. `python tests/mutations.py --write`\n"
             "runs what has changed since and makes this page of what it finds (it forks, so not on Windows);\n"
             "mutations.json keeps the results with hashes of the sources they are true of.\n"
-            f"{caught} of {len(results)} are caught.\n\n"
+            f"{caught} of the {len(results)} that were run on these sources are caught; "
+            f"{len(MUTATIONS) - len(results)} more are in the list and still to be run.\n\n"
         )
         + "\n".join(rows)
         + "\n"
