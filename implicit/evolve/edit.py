@@ -129,15 +129,16 @@ class Edit:
         error = torch.full_like(points[:, 0], float("nan"))
         if not bool(targeted.any()):
             return error
-        goal = points[targeted] + wanted[targeted]
+        # A rigid edit works in float64 whatever the field is in, and its points stay so.
+        goal = self.field.in_precision(points[targeted] + wanted[targeted])
         largest = (wanted[targeted] * normals[targeted]).sum(dim=1).abs().max()
         surface, arrived = newton_to_surface(self.field, goal, reach=self.field.size / 2)
         facing = self.field.normal(surface)
         gap = ((surface - goal) * facing).sum(dim=1)
         if along is not None:
-            gap = gap / (along[targeted] * facing).sum(dim=1).clamp(min=LEAST_COSINE)
+            gap = gap / (along[targeted].to(facing) * facing).sum(dim=1).clamp(min=LEAST_COSINE)
         gap = torch.where(arrived, gap, torch.full_like(gap, float("nan")))
-        error[targeted] = gap / largest.clamp(min=torch.finfo(gap.dtype).tiny)
+        error[targeted] = gap.to(error) / largest.clamp(min=torch.finfo(error.dtype).tiny)
         return error
 
 

@@ -45,6 +45,16 @@ def test_a_common_motion_of_all_handles_moves_everything_alike(spot, features, m
     torch.testing.assert_close(edit.points + edit.displacement, motion.at(1.0, edit.points), rtol=0, atol=2e-6)
 
 
+def test_the_error_of_an_edit_in_single_precision_can_be_asked_for(spot):
+    """The edit works in double precision; its field is back in the caller's, and so the error is of that precision."""
+    shift = RigidMotion(translation=(0.03, 0.02, 0.0))
+    single = spot.to(torch.float32)
+    edit = rigid_edit(single, [Handle(HEAD, shift), Handle(FEET, shift)], points=300, steps=1)
+    error = edit.error_field()
+    assert bool(torch.isfinite(error).any())
+    assert float(error.nan_to_num().abs().max()) < 1e-3
+
+
 def test_other_networks_are_moved_step_by_step(wobbly):
     """Where the first layer does not see the points alone, a common translation is met by the least squares."""
     way = (0.03, 0.0, 0.0)
