@@ -71,7 +71,7 @@ def normal_turning(field: Field, points: Float[Tensor, "n d"], *, reach: float |
         points: Points on the surface (N, D), in an order whose every part is spread evenly; POINTS of them are taken.
         reach: Half the length of a way; None is REACH of the field's size.
 
-    Where torch refuses a second derivative nothing is explained.
+    Where second derivatives are missing nothing is explained.
     """
     reach = REACH * field.size if reach is None else reach
     x = field.require_points(points)[:: max(1, len(points) // POINTS)]
@@ -82,11 +82,10 @@ def normal_turning(field: Field, points: Float[Tensor, "n d"], *, reach: float |
     way = reach * way / way.norm(dim=1, keepdim=True).clamp(min=1e-12)
     ends = [_normal_and_slope(field, x + side * way, None)[0] for side in (-1, 1)]
     turning = ends[1] - ends[0]
-    try:
+    simpson = torch.zeros_like(turning)
+    if field.twice_differentiable:
         slopes = [_normal_and_slope(field, x + side * way, way)[1] for side in (-1, 0, 1)]
         simpson = (slopes[0] + 4 * slopes[1] + slopes[2]) / 3
-    except (RuntimeError, NotImplementedError):  # torch knows no second derivative
-        simpson = torch.zeros_like(turning)
     # A turning is at most two; what second derivatives of a nearly sharp edge say beyond it is no more wrong than that.
     missed = (turning - simpson).norm(dim=1).clamp(max=2.0).double()
     known = torch.isfinite(missed)  # where the gradient vanishes there is no normal
