@@ -63,7 +63,7 @@ def refusal(doing: str, error: BaseException) -> TypeError:
 
 
 class ModuleError(TypeError):
-    """What a user's module or torch failed at, in our words; it passes through further calls as it is."""
+    """Failure of a user's module or of torch, in our words; it passes through further calls as it is."""
 
 
 @contextmanager

@@ -135,7 +135,7 @@ class OfActive(Factor):
 
     @property
     def converged(self) -> bool:  # type: ignore[override]  # it may change with each inverse
-        """Whether all inverses taken so far are exact to the tolerance."""
+        """True if all inverses taken so far are exact to the tolerance."""
         return self._factor.converged
 
     def inverse(self, right: Float[Tensor, "n m"]) -> Float[Tensor, "n m"]:

@@ -434,8 +434,10 @@ def test_missing_second_derivatives_are_refused_and_never_zero(function):
     for call in (field.hessian, field.mean_curvature):
         with pytest.raises(ValueError, match="has no second derivatives, and so no curvature"):
             call(points)
+    options = {"steps": 1, "step_size": 1e-4, "points": 24, "resolution": 10}
     with pytest.raises(ValueError, match="has no second derivatives"):
-        smooth(field, steps=1, step_size=1e-4, points=24, resolution=10)
+        smooth(field, curvature="pointwise", **options)
+    assert smooth(field, **options).history[-1]["curvature"] == "weak"
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
