@@ -34,10 +34,11 @@ from implicit.sensitivity.moved_as_a_whole import moved_as_a_whole
 from implicit.sensitivity.pointwise_curvature import normal_turning
 from implicit.sensitivity.shape_functionals import Area, Functional, Volume
 from implicit.sensitivity.weak_curvature import WeakSurface
-from implicit.step.deformation import DeformationSpace, spanned
+from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import Energy, Killing, VectorTarget
 from implicit.step.mesh_killing import MeshKilling
 from implicit.step.off_surface import off_surface
+from implicit.step.parameter_basis import spanned, spans_by_factors
 from implicit.step.problem import DampingRule, Row, StepProblem
 from implicit.step.tangential_basis import CosineFeatures, TangentialModel
 from implicit.surface.quadrature import SurfaceSample
@@ -58,8 +59,9 @@ OFF_SURFACE_STRENGTH = 0.3
 
 # Up to so many parameters, all are unknowns. Of more, a step is sought among the combinations of the sensitivities of
 # some points: the normal matrix grows with the square of the unknowns, and the spectrum of the sensitivities falls so
-# fast that all 8641 parameters of a network of 64 sines a layer leave 1 % less energy than 1500 combinations. These
-# are kept as a matrix, of at most so many numbers; with fewer combinations the motion gets stiff.
+# fast that all 8641 parameters of a network of 64 sines a layer leave 1 % less energy than 1500 combinations. Where the
+# field has no closed form these are kept as a matrix, of at most so many numbers; with fewer combinations the motion
+# gets stiff.
 ALL_PARAMETERS = 4000
 COMBINATIONS = 1500
 FEWEST_COMBINATIONS = 500
@@ -166,7 +168,7 @@ def rigid_edit(
         normals=sample.normals,
         displacement=edit.points + edit.displacement - sample.points,
         wanted=target,
-        notes=(*edit.notes, *operation.notes(len(field.theta))),
+        notes=(*edit.notes, *operation.notes(precise)),
     )
     return with_evidence(edit, before, resolution)
 
@@ -231,11 +233,11 @@ def prepare(
     handles = checked_handles(handles)
     if tangential is not None and not callable(getattr(tangential, "slopes", None)):
         raise TypeError(f"tangential must be None or a model such as CosineFeatures(field), but is {tangential!r}.")
-    most = NUMBERS // FEWEST_COMBINATIONS
-    if len(precise.theta) > most:
+    if _combinations(precise) == 0:
         raise ValueError(
-            f"The field has {len(precise.theta):,} parameters; a rigid edit takes up to {most:,}. Edit some "
-            "of them alone, such as those of the last layers: Field(module, parameters=[...])."
+            f"The field has {len(precise.theta):,} parameters and no closed form of its derivatives; a rigid edit of "
+            f"such a field takes up to {NUMBERS // FEWEST_COMBINATIONS:,}. Edit some of them alone, such as those of "
+            "the last layers: Field(module, parameters=[...])."
         )
     points = points.to(torch.float64) if isinstance(points, SurfaceSample) else points
     sample = carrying_points(precise, points, "farthest", seed=settings.seed)
@@ -282,10 +284,10 @@ class RigidOperation:
             return positions
         return self.begin.at(self.placement(fraction).undone(positions))
 
-    def notes(self, parameters: int) -> tuple[str, ...]:
+    def notes(self, field: Field) -> tuple[str, ...]:
         """Return what to know of the answer: whether the strain is seen at fewer places than could hide it."""
-        combinations = _combinations(parameters)
-        count = parameters if combinations is None else combinations
+        combinations = _combinations(field)
+        count = len(field.theta) if combinations is None else combinations
         unknowns = count + 3 * self.tangential.count
         entries = 3 + 2 * (self.settings.bending > 0) + (self.settings.thickness > 0)
         notes: tuple[str, ...] = ()
@@ -320,10 +322,10 @@ class RigidOperation:
         away = off_surface(state.field, here, strength=strength, seed=settings.seed + state.step)
         if strength > 0:
             energies.append(away)
-        count = _combinations(len(state.field.theta))
-        directions = None if count is None else spanned(state.field, state.points, away.points, count)
+        count = _combinations(state.field)
+        basis = None if count is None else spanned(state.field, state.points, away.points, count)
         return StepProblem(
-            DeformationSpace(state.field, self.tangential, directions),
+            DeformationSpace(state.field, self.tangential, basis),
             energies,
             # A large error will do, for the surface is brought to where the step sends it.
             DampingRule(settings.damping, first=damping, least=damping, allowed_error=0.3),
@@ -349,9 +351,14 @@ class RigidOperation:
         return Outcome(None)
 
 
-def _combinations(parameters: int) -> int | None:
-    """Return how many combinations of so many parameters a step chooses among; None for all."""
-    return None if parameters <= ALL_PARAMETERS else min(COMBINATIONS, NUMBERS // parameters)
+def _combinations(field: Field) -> int | None:
+    """Return how many combinations of its parameters a step chooses among; None for all, 0 where there are too many."""
+    if len(field.theta) <= ALL_PARAMETERS:
+        return None
+    if spans_by_factors(field, COMBINATIONS):
+        return COMBINATIONS
+    room = NUMBERS // len(field.theta)
+    return 0 if room < FEWEST_COMBINATIONS else min(COMBINATIONS, room)
 
 
 def _require_rigid_motion_fixed(points: Tensor) -> None:

@@ -39,10 +39,11 @@ from implicit.renamed import renamed
 from implicit.sensitivity.pointwise_curvature import NormalTurning, normal_turning
 from implicit.sensitivity.shape_functionals import Functional, Volume
 from implicit.sensitivity.weak_curvature import WeakSurface
-from implicit.step.deformation import DeformationSpace, spanned
+from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import Energy, NormalTarget, Smoothness
 from implicit.step.mesh_energies import MeshNormalMotion
 from implicit.step.off_surface import off_surface
+from implicit.step.parameter_basis import spanned
 from implicit.step.problem import DampingRule, Row, StepProblem
 from implicit.surface.quadrature import MeshedSample, SurfaceSample
 from implicit.surface.sampling import sample_surface, subsample
@@ -213,7 +214,7 @@ def explicit_step_limit(field: Field, *, points: int = 400, directions: int = 20
     require_whole("points", points)
     require_whole("directions", directions)
     sample = sample_surface(field, points, seed=seed)
-    space = DeformationSpace(field, directions=spanned(field, sample.points, sample.points[:0], directions))
+    space = DeformationSpace(field, basis=spanned(field, sample.points, sample.points[:0], directions))
     mass, stiffness = (_gram(energy, space) for energy in _mass_and_stiffness(field, sample))
     mass.diagonal().add_(1e-7 * mass.trace())
     root = torch.linalg.inv(torch.linalg.cholesky(mass))
@@ -338,7 +339,7 @@ class SmoothingOperation:
             energies.append(away)
         basis = None if count is None else spanned(field, sample.points, away.points, count)
         return StepProblem(
-            DeformationSpace(field, directions=basis),
+            DeformationSpace(field, basis=basis),
             energies,
             DampingRule(self.damping, first=DAMPING, least=DAMPING, allowed_error=0.2),
             probe=sample.points[::2],

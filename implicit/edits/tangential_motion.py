@@ -27,6 +27,7 @@ from implicit.sensitivity.frame import Frame, speed_and_slope, tangential_compon
 from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import Killing
 from implicit.step.least_squares import LeastSquares, Rows
+from implicit.step.parameter_basis import Directions
 from implicit.step.tangential_basis import CosineFeatures, TangentialModel
 from implicit.surface.quadrature import SurfaceSample
 from implicit.surface.sampling import sample_surface
@@ -103,7 +104,7 @@ class NearIsometric:
         model = CosineFeatures(precise) if self.model is None else self.model
         sample = sample_surface(precise, 1000, "farthest") if self.sample is None else self.sample.to(torch.float64)
         # The given motion as the only normal one: its column goes to the right-hand side.
-        space = DeformationSpace(precise, model, directions=d_theta.to(precise.theta)[:, None])
+        space = DeformationSpace(precise, model, Directions(d_theta.to(precise.theta)[:, None]))
         system = LeastSquares(space.size - 1, precise.theta)
         for rows in Killing(sample.points, sample.weights, bending=0.0, thickness=0.0).rows(space):
             matrix, target = rows.matrix, rows.target

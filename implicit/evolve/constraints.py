@@ -329,7 +329,7 @@ class ConstraintSet:
         C = field.theta.new_zeros(len(self.functionals), space.size)
         for k, constraint in enumerate(self.functionals):
             density = steering.weights * constraint.shape_gradient(field, steering)
-            C[k, : space.parameters] = space.reduced(adjoint(field, steering.points, density, lengths))
+            C[k, : space.parameters] = space.basis.transposed(adjoint(field, steering.points, density, lengths))
         return C
 
     def restore(

@@ -194,7 +194,7 @@ def normal_correction(
     """
     count = len(points)
     goal = points + trial.predicted[:count]
-    field, at, directions = trial.field, trial.projection.points[:count], problem.space.directions
+    field, at, basis = trial.field, trial.projection.points[:count], problem.space.basis
     change = torch.zeros_like(trial.x)
     left = float("inf")
     for _ in range(CORRECTIONS):
@@ -203,7 +203,7 @@ def normal_correction(
         if not size < 0.25 * left:
             break
         left = size
-        space = DeformationSpace(field, directions=directions)
+        space = DeformationSpace(field, basis=basis)
         step = assemble(StepProblem(space, [NormalTarget(at, gap, weights)])).solve()
         moved = field.with_theta(field.theta + space.split(step.x)[0])
         arrived_at, arrived = newton_to_surface(moved, goal, reach=trial.reach)

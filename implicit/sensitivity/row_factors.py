@@ -234,7 +234,7 @@ class RowFactors:
             step = max(1, BLOCK // self.columns.parameters)
             for start in range(0, self.count, step):
                 piece = slice(start, start + step)
-                some = [Part(part.operand, [_sliced(term, piece) for term in part.terms]) for part in parts]
+                some = [Part(part.operand, [sliced(term, piece) for term in part.terms]) for part in parts]
                 rows = self.theta.new_empty(len(some[0].terms[0][0]), self.columns.parameters)
                 self.columns.write(rows, some, self.theta)
                 blocks.append(rows[:, columns].double())
@@ -242,7 +242,8 @@ class RowFactors:
             total.addmm_(matrix, matrix.T)
 
 
-def _sliced(term: Term, piece: slice) -> Term:
+def sliced(term: Term, piece: slice) -> Term:
+    """Return a term of some of the rows."""
     return term[0][piece], None if term[1] is None else term[1][piece]
 
 

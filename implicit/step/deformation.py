@@ -17,13 +17,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.field.field import Field
-from implicit.sensitivity.boundary_sensitivity import (
-    normal_displacement,
-    parameter_gradient,
-    parameter_gradient_and_slope,
-    row_blocks,
-)
-from implicit.sensitivity.frame import Frame, axes_of, normal_component, speed_and_slope
+from implicit.sensitivity.boundary_sensitivity import normal_displacement, row_blocks
+from implicit.sensitivity.frame import Frame, axes_of, normal_component
+from implicit.step.parameter_basis import AllParameters, ParameterBasis
 from implicit.step.strain import strain
 from implicit.step.tangential_basis import TangentialModel
 
@@ -34,35 +30,33 @@ class DeformationSpace:
     Args:
         field: Field whose parameters span the normal part.
         tangential: Basis of the tangential part; None allows normal motion alone.
-        directions: Orthonormal columns (P, K): the normal part is then spanned by d_theta = directions c.
+        basis: Changes of the parameters that span the normal part; None is all of them.
     """
 
     def __init__(
         self,
         field: Field,
         tangential: TangentialModel | None = None,
-        directions: Float[Tensor, "p k"] | None = None,
+        basis: ParameterBasis | None = None,
     ) -> None:
         self.field = field
         self.tangential = tangential
-        self.directions = directions
-        self.parameters = len(field.theta) if directions is None else directions.shape[1]
+        self.basis: ParameterBasis = AllParameters(field) if basis is None else basis
+        self.parameters = self.basis.count
         self.size = self.parameters + (field.dimension * tangential.count if tangential is not None else 0)
-        # Numbers of a row while it is made: over all parameters, before the directions take its part in theirs.
-        self._width = max(self.size, len(field.theta))
+        self._width = max(self.size, self.basis.width(field))
+
+    @property
+    def is_reduced(self) -> bool:
+        """True if the normal part is spanned by fewer changes than there are parameters."""
+        return not isinstance(self.basis, AllParameters)
 
     def split(self, x: Float[Tensor, " s"]) -> tuple[Float[Tensor, " p"], Float[Tensor, "d k"] | None]:
         """Return the unknowns as d_theta and the tangential coefficients, one row a coordinate."""
-        d_theta = x[: self.parameters]
-        if self.directions is not None:
-            d_theta = self.directions @ d_theta
+        d_theta = self.basis.change(x[: self.parameters])
         if self.tangential is None:
             return d_theta, None
         return d_theta, x[self.parameters :].view(self.field.dimension, self.tangential.count)
-
-    def reduced(self, rows: Float[Tensor, "*n p"]) -> Float[Tensor, "*n k"]:
-        """Return rows over the parameters as rows over the unknowns of the normal part."""
-        return rows if self.directions is None else rows @ self.directions
 
     def displacement(self, points: Float[Tensor, "n d"], x: Float[Tensor, " s"]) -> Float[Tensor, "n d"]:
         """Return D at surface points, a length."""
@@ -79,15 +73,14 @@ class DeformationSpace:
         start = 0
         for part in row_blocks(points, self._width):
             length = self.field.gradient_length(self.field.gradient(part))
-            rows = self.reduced(parameter_gradient(self.field, part).div_(-length[:, None]))
-            yield slice(start, start + len(part)), rows
+            yield slice(start, start + len(part)), self.basis.rows(self.field, part).div_(-length[:, None])
             start += len(part)
 
     def value_rows(self, points: Float[Tensor, "n d"]) -> Iterator[tuple[slice, Float[Tensor, "k p"]]]:
         """Yield the change of f itself, at points anywhere, as rows over the unknowns of the normal part, in blocks."""
         start = 0
         for part in row_blocks(points, self._width):
-            yield slice(start, start + len(part)), self.reduced(parameter_gradient(self.field, part))
+            yield slice(start, start + len(part)), self.basis.rows(self.field, part)
             start += len(part)
 
     def normal_slope_rows(
@@ -97,7 +90,7 @@ class DeformationSpace:
         start = 0
         for part in row_blocks(points, 2 * self.field.dimension * self._width):
             frame = Frame.at(self.field, part)
-            rows = self.reduced(frame.axes[:, :-1] @ speed_and_slope(self.field, frame)[:, 1:])
+            rows = self.basis.rows(self.field, part, frame.axes[:, :-1] @ frame.quotient_rule[:, 1:])
             yield slice(start, start + len(part)), frame.axes[:, :-1], rows
             start += len(part)
 
@@ -162,25 +155,8 @@ class DeformationSpace:
         from_field[:, 1:] = frame.axes @ from_field[:, 1:]
         # Small factors first: the rows of the parameters are the one large product.
         from_field = coefficients @ from_field[:, used]
-        return self.reduced(from_field @ parameter_gradient_and_slope(self.field, frame.points))
+        return self.basis.rows(self.field, frame.points, from_field)
 
     def __repr__(self) -> str:
         tangential = 0 if self.tangential is None else self.size - self.parameters
         return f"DeformationSpace({self.parameters} unknowns of the normal part, {tangential} of the tangential part)"
-
-
-def spanned(
-    field: Field, on: Float[Tensor, "n d"], off: Float[Tensor, "m d"], count: int
-) -> Float[Tensor, "p k"] | None:
-    """Return an orthonormal basis of the parameter changes that so many points' sensitivities span; None for all.
-
-    Args:
-        on, off: Points on the surface and off it, each in an order whose every part is spread evenly. A quarter of
-            those taken at most is off it.
-    """
-    off = off[: count // 4]
-    every = max(1, len(on) // max(1, count - len(off)))
-    chosen = torch.cat([on[::every][: count - len(off)], off])
-    if len(chosen) >= len(field.theta):
-        return None
-    return torch.linalg.qr(parameter_gradient(field, chosen).T)[0]

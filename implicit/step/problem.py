@@ -143,7 +143,7 @@ def _targets(problem: StepProblem) -> list[NormalTarget | FieldTarget]:
 def _is_sparse(problem: StepProblem) -> bool:
     """Return whether all are targets of a field in which few parameters act at a point (features on a grid)."""
     space, targets = problem.space, _targets(problem)
-    if space.directions is not None or space.tangential is not None or not targets:
+    if space.is_reduced or space.tangential is not None or not targets:
         return False
     return len(targets) == len(problem.energies) and has_sparse_rows(space.field, targets[0].points)
 
@@ -154,7 +154,7 @@ def _is_cheaper_by_products(problem: StepProblem) -> bool:
     The products of their rows with each other then come from those of the layers (implicit.sensitivity.closed_form).
     """
     space, count = problem.space, 0
-    if space.directions is not None or not has_closed_form(space.field):
+    if space.is_reduced or not has_closed_form(space.field):
         return False
     for energy in problem.energies:
         if not isinstance(energy, NormalTarget) and not (isinstance(energy, FieldTarget) and energy.tied is None):

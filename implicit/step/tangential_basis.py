@@ -37,7 +37,7 @@ class CosineFeatures:
     approximate a Gaussian process with length scale 1 / frequency (Rahimi & Recht, NeurIPS 2007).
 
     Args:
-        field: Field whose dimension, dtype and device they have; x is measured in halves of the field's size.
+        field: Field whose dimension and device they have; x is measured in halves of the field's size.
         waves: Number of cosines.
         frequency: Standard deviation of the wave vectors; 8 suits shapes that fill the bounds.
         seed: Seed of the random waves.
@@ -51,18 +51,23 @@ class CosineFeatures:
         self._directions = directions.to(field.theta)
         self._phases = (2 * torch.pi * torch.rand(waves, generator=generator, dtype=torch.float64)).to(field.theta)
 
+    def _to(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return x, the wave vectors and the phases in the precision of points: an edit may run in a finer one."""
+        x = (points - self._center.to(points)) / self._half
+        return x, self._directions.to(points), self._phases.to(points)
+
     @property
     def count(self) -> int:
         return 1 + self._directions.shape[0] + self._directions.shape[1]
 
     def values(self, points: Tensor) -> Tensor:
-        x = (points - self._center) / self._half
-        waves = torch.cos(x @ self._directions + self._phases)
+        x, directions, phases = self._to(points)
+        waves = torch.cos(x @ directions + phases)
         return torch.cat([torch.ones_like(x[:, :1]), x, waves], dim=1)
 
     def slopes(self, points: Tensor) -> Tensor:
-        x = (points - self._center) / self._half
-        waves = -torch.sin(x @ self._directions + self._phases)[:, None, :] * self._directions
+        x, directions, phases = self._to(points)
+        waves = -torch.sin(x @ directions + phases)[:, None, :] * directions
         n, dimension = points.shape
         straight = torch.eye(dimension, dtype=points.dtype, device=points.device).expand(n, -1, -1)
         return torch.cat([straight.new_zeros(n, dimension, 1), straight, waves], dim=2) / self._half

@@ -20,6 +20,7 @@ from implicit.edits import rigid
 from implicit.edits.rigid_placement import Placement
 from implicit.evolve.edit import EditStatus
 from implicit.models import Mlp
+from implicit.step import parameter_basis
 from implicit.step.tangential_basis import CosineFeatures
 
 HEAD = HalfSpace((0, 0.5, 0), (0, 1, 0))
@@ -109,9 +110,27 @@ def test_too_few_points_to_see_the_strain_are_told_of(spot):
     assert rigid_edit(spot, handles, points=517, tangential=features).notes == ()
 
 
-def test_a_network_too_large_for_its_combinations_is_refused_before_any_work():
+def test_a_step_through_the_factors_of_rows_is_that_through_their_matrix(wobbly, monkeypatch):
+    handles = [
+        Handle(HalfSpace((0, 0, 0.3), (0, 0, 1)), (0.02, 0, 0)),
+        Handle(HalfSpace((0, 0, -0.3), (0, 0, -1)), (0.0, 0, 0)),
+    ]
+    options = {"points": 100, "tangential": CosineFeatures(wobbly, waves=10), "constraints": [Volume()]}
+    monkeypatch.setattr(rigid, "ALL_PARAMETERS", 0)
+    monkeypatch.setattr(rigid, "COMBINATIONS", 40)
+    edits = []
+    for many in (0, 10**9):
+        monkeypatch.setattr(parameter_basis, "MANY_PARAMETERS", many)
+        edits.append(rigid_edit(wobbly, handles, resolution=16, **options))
+    torch.testing.assert_close(edits[0].points, edits[1].points)
+    apart = (edits[0].displacement - edits[1].displacement).norm(dim=1).max()
+    assert 0 < float(apart) < 1e-4 * 0.02
+
+
+def test_a_network_too_large_for_its_combinations_is_refused_before_any_work(monkeypatch):
+    monkeypatch.setattr(rigid, "spans_by_factors", lambda field, count: False)
     field = Field(Mlp(width=512, depth=2))
-    with pytest.raises(ValueError, match=r"265,217 parameters; a rigid edit takes up to 200,000"):
+    with pytest.raises(ValueError, match=r"265,217 parameters and no closed form .* takes up to 200,000"):
         rigid_edit(field, [Handle(HEAD, (0.01, 0.0, 0.0))])
 
 

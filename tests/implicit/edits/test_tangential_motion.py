@@ -7,6 +7,7 @@ from torch import nn
 from implicit import ConstantNormals, Field, NearIsometric, normal_displacement, sample_surface, shapes
 from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import Killing, total_energy
+from implicit.step.parameter_basis import Directions
 from implicit.step.tangential_basis import CosineFeatures
 
 WAY = torch.tensor([0.3, -0.2, 0.1], dtype=torch.float64)
@@ -147,7 +148,7 @@ def test_near_isometry_has_no_more_strain_than_other_slides(wobbly):
     d_theta = torch.randn(len(wobbly.theta), generator=torch.Generator().manual_seed(8), dtype=torch.float64)
     slide = NearIsometric(features, sample)
     t = slide(wobbly, d_theta, sample.points)
-    space = DeformationSpace(wobbly, features, directions=d_theta[:, None])
+    space = DeformationSpace(wobbly, features, Directions(d_theta[:, None]))
     ((_, axes, rows),) = space.tangent_rows(sample.points)
     c = torch.linalg.lstsq(rows.flatten(0, 1), (axes @ t[:, :, None]).flatten(), driver="gelsd").solution
 
