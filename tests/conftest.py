@@ -11,9 +11,9 @@ import resource
 from collections import Counter
 from pathlib import Path
 
+import annotation_check
 import pytest
 from hypothesis import settings
-from jaxtyping import install_import_hook
 
 SLOW = 5.0  # processor seconds of a test function with all its parameters
 WORTH_NOTING = 1.0
@@ -28,7 +28,7 @@ settings.register_profile("reproducible", derandomize=True, deadline=None)
 settings.load_profile("reproducible")
 
 # Before the first import of any of them; see annotation_check.py.
-install_import_hook(["implicit", "meshref", "compare"], "annotation_check.checked")
+annotation_check.hold(["implicit", "meshref", "compare"])
 
 _measured: Counter[str] = Counter()
 _BEFORE = pytest.StashKey[float]()
@@ -54,7 +54,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Begin to count the processor seconds of a test, its fixtures and its child processes."""
+    """Begin to check annotations, and to count the processor seconds of a test, its fixtures and child processes."""
+    annotation_check.begin_test()
     item.stash[_BEFORE] = _processor_seconds()
 
 

@@ -15,7 +15,7 @@ from implicit.field.field import Field, require_field
 from implicit.step.problem import Row
 from implicit.surface.extraction import SurfaceError, require_resolution
 from implicit.surface.projection import newton_to_surface
-from implicit.surface.quadrature import SurfaceSample
+from implicit.surface.quadrature import SurfaceSample, require_sample
 from implicit.surface.soundness import Soundness, changes, field_soundness
 
 Progress = Callable[[int, int, Row], None]
@@ -117,11 +117,13 @@ class Edit:
 
         Raises:
             ValueError: Another sample was given, but the edit knows only of its starting points.
+            TypeError: It is no SurfaceSample.
         """
         points, normals, wanted, along = self.points, self.normals, self.wanted, None
         if sample is not None:
             if self.asked is None:
                 raise ValueError("This edit knows what was asked at its starting points only; leave sample out.")
+            sample = require_sample(self.field, sample)
             points, normals = sample.points, sample.normals
         if self.asked is not None:
             wanted, along = self.asked(points, normals)

@@ -94,13 +94,15 @@ def test_a_turned_region_is_judged_along_its_turned_normals():
 
 
 def test_the_error_can_be_asked_for_at_other_points(wobbly):
-    edit = geometric_edit(wobbly, bump(wobbly), points=1000, steps=2)
+    edit = geometric_edit(wobbly, bump(wobbly), points=400, steps=2)
     again = edit.error_field(SurfaceSample(edit.points, edit.normals, edit.weights))
     assert torch.equal(again, edit.error_field())
     dense = surface_quadrature(wobbly, 32)
     error = edit.error_field(dense)
     assert error.shape == dense.weights.shape
     assert bool(torch.isfinite(error).all())
+    with pytest.raises(TypeError, match="must be a SurfaceSample, but is a Tensor"):
+        edit.error_field(dense.points)
 
 
 def test_a_larger_displacement_takes_more_parts():
