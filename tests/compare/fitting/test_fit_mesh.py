@@ -65,6 +65,7 @@ def test_the_report_is_plain_data(fitted):
     assert data["offset"] == list(report.offset)
 
 
+@pytest.mark.usefixtures("light")
 def test_units_lead_back_to_where_the_mesh_was(fitted):
     """Scaled, and moved by ten sizes: the field is nearly the same, its units are not."""
     moved = 40 * V + np.array([500.0, -200.0, 30.0])
@@ -79,8 +80,22 @@ def test_units_lead_back_to_where_the_mesh_was(fitted):
 
 
 @pytest.fixture
-def coarse(monkeypatch):
-    """A report that takes no time, for tests that look at the weights."""
+def light(monkeypatch):
+    """A fifth of the samples, and a report at fewer cells: a fit of a simple shape is as good."""
+    monkeypatch.setattr("compare.fitting.fit.ON_SURFACE", 12_000)
+    monkeypatch.setattr("compare.fitting.fit.ABOUT_SURFACE", ((10_000, 0.005), (10_000, 0.02), (10_000, 0.06)))
+    monkeypatch.setattr("compare.fitting.fit.IN_CUBE", 8_000)
+    monkeypatch.setattr("compare.fitting.fit.RESOLUTION", 64)
+    monkeypatch.setattr("compare.fitting.fit.QUADRATURE", 64)
+    monkeypatch.setattr("compare.fitting.bundle.RESOLUTION", 64)
+
+
+@pytest.fixture
+def coarse(monkeypatch, light):
+    """Few samples and a report that takes no time, for tests that look at the weights."""
+    monkeypatch.setattr("compare.fitting.fit.ON_SURFACE", 3_000)
+    monkeypatch.setattr("compare.fitting.fit.ABOUT_SURFACE", ((2_000, 0.005), (2_000, 0.02), (2_000, 0.06)))
+    monkeypatch.setattr("compare.fitting.fit.IN_CUBE", 2_000)
     monkeypatch.setattr("compare.fitting.fit.RESOLUTION", 24)
     monkeypatch.setattr("compare.fitting.fit.QUADRATURE", 24)
 
@@ -126,11 +141,12 @@ def test_a_fit_cut_short_by_time_says_so(monkeypatch):
     assert report.steps < 100_000
 
 
+@pytest.mark.usefixtures("light")
 def test_several_bodies_are_kept_or_refused_as_asked():
     A, f = meshref.icosphere(3, 0.4, (-0.6, 0, 0))
     B, _ = meshref.icosphere(3, 0.3, (0.6, 0, 0))
     both, faces = np.concatenate([A, B]), np.concatenate([f, f + len(A)])
-    _, report = fit_mesh(both, faces, steps=400)
+    _, report = fit_mesh(both, faces, steps=200)
     assert (report.components, report.components_mesh) == (2, 2)
     _, report = fit_mesh(both, faces, steps=100, bodies="largest")
     assert report.components_mesh == 1
@@ -156,7 +172,7 @@ def test_an_interrupted_fit_resumes_to_the_same_weights(tmp_path):
 
 
 @needs_meshes
-@pytest.mark.parametrize(("name", "genus"), [("bunny.off", 0), ("rocker-arm.obj", 1), ("bar.off", 0), ("spot.obj", 0)])
+@pytest.mark.parametrize(("name", "genus"), [("bunny.off", 0), ("rocker-arm.obj", 1)])
 def test_real_shapes_fit_below_the_stated_error_in_few_steps(name, genus):
     """A quarter of the default steps already leaves a mean distance under a quarter of what is asked."""
     _, report = fit_mesh(*meshref.read_mesh(MESHES / name), steps=1000)
@@ -174,6 +190,7 @@ def test_bundling_says_which_mesh_is_missing(tmp_path, capsys):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.usefixtures("light")
 def test_bundling_writes_a_field_and_its_report(tmp_path):
     assert bundle.main(["cactus", "--to", str(tmp_path), "--steps", "100"]) == 0
     field = implicit.load_field(tmp_path / "cactus.safetensors")
