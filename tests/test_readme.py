@@ -78,7 +78,7 @@ def in_short(command):
     cheaper = {
         "implicit-vs-mesh run": " --quick --operations smooth",
         "implicit-vs-mesh fit": " --width 8 --steps 200",
-        "implicit-vs-mesh study points": " --shapes torus",
+        "implicit-vs-mesh study points": " --shapes bracket",
     }
     more = next((more for start, more in cheaper.items() if command.startswith(start)), "")
     return command.replace("paper basis semantic_basis", "paper basis") + more

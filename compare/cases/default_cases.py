@@ -12,7 +12,7 @@ from numpy import ndarray
 from compare.cases.case import Case
 from compare.cases.registry import OPERATIONS
 
-QUICK_SIZE = {"vertices": 1200, "resolution": 48}
+QUICK_SIZE = {"vertices": 800, "resolution": 32}
 QUICK_FIT = {"steps": 600}  # for a shape given as a mesh
 
 

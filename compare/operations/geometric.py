@@ -37,7 +37,7 @@ class Geometric(Operation):
     takes_handles = True
     sums_handles = True
     full: Mapping[str, Any] = {}
-    quick: Mapping[str, Any] = {"implicit": {"parts": 4, "points": 1000}}
+    quick: Mapping[str, Any] = {"implicit": {"parts": 4, "points": 500}}
     error_means = "motion along the normal minus the wanted one"
     error_over_target = True
     headline = Headline("error_relative", "error {} of the bump")

@@ -30,7 +30,7 @@ class Rigid(Operation):
     # Three steps: on spot and cactus, five leave 11 and 15 % more energy for 1.6 times the time, as each adds its own
     # ripples, and bring the handles from 0.6 % of the pull to 0.5 %.
     full: Mapping[str, Any] = {"implicit": {"steps": 3, "points": 2000}}
-    quick: Mapping[str, Any] = {"implicit": {"steps": 3, "points": 1000}}
+    quick: Mapping[str, Any] = {"implicit": {"steps": 3, "points": 500}}
     error_means = "local strain: half the root of the Killing energy density"
     error_name = "strain"
     error_is_length = False

@@ -36,7 +36,7 @@ class Smooth(Operation):
     takes_handles = False
     settings = ("steps", "step_size")
     full: Mapping[str, Any] = {"steps": 8, "step_size": 1e-3, "implicit": {"points": 2000}}
-    quick: Mapping[str, Any] = {"steps": 4, "step_size": 1e-3, "implicit": {"points": 1000, "resolution": 32}}
+    quick: Mapping[str, Any] = {"steps": 4, "step_size": 1e-3, "implicit": {"points": 500, "resolution": 32}}
     error_means = "motion along the normal minus that of the other representation"
     headline = Headline("volume_drift", "volume {}")
 

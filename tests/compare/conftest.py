@@ -1,7 +1,7 @@
 """One small run that the tests of this folder look at: an analytic shape, each operation, few points."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -11,7 +11,7 @@ import implicit.shapes
 from compare import Case, Record, default_cases, prepare_subject, report, run_cases
 from compare.commands.cli import main
 
-SMALL = {"vertices": 500, "resolution": 32}
+SMALL = {"vertices": 300, "resolution": 24}
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,11 @@ def shape_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def small_cases(shape_file: Path) -> list[Case]:
     """The three operations on it, at little cost."""
     subject = prepare_subject(Case(str(shape_file), "smooth", **SMALL))
-    return default_cases(str(shape_file), subject.V, subject.N, quick=True, **SMALL)
+    cases = default_cases(str(shape_file), subject.V, subject.N, quick=True, **SMALL)
+    return [
+        replace(case, parameters={**case.parameters, "implicit": {**case.parameters["implicit"], "points": 250}})
+        for case in cases
+    ]
 
 
 @pytest.fixture(scope="session")

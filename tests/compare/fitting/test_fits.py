@@ -1,10 +1,14 @@
 """The table of fits is made of reports, row by row."""
 
+from functools import partial
+
 import meshref
+from compare.fitting.fit import fit_mesh
 from compare.fitting.fits import COLUMNS, main, table
 
 
-def test_a_folder_of_meshes_becomes_a_table(tmp_path, capsys):
+def test_a_folder_of_meshes_becomes_a_table(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("compare.fitting.fits.fit_mesh", partial(fit_mesh, steps=600))
     V, F = meshref.icosphere(3, radius=2.0)
     meshref.write_mesh(tmp_path / "ball.obj", V, F)
     output = tmp_path / "docs" / "fits.md"

@@ -16,7 +16,7 @@ import implicit
 import implicit.shapes
 from compare.runs.records import FILE, read
 
-CASES, KILLS = map(int, os.environ.get("IMPLICIT_VS_MESH_KILLS", "8 1").split())
+CASES, KILLS = map(int, os.environ.get("IMPLICIT_VS_MESH_KILLS", "6 1").split())
 PATIENCE = 600  # seconds for a step of this test on a machine with much else to do
 
 STUDY = """
