@@ -57,7 +57,7 @@ def area_growth(flow: Flow, constraints: Sequence[Functional], least: float, sur
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class AskedFlow:
     """What was asked of a surface, and how it is looked at.
 
     Attributes:
@@ -77,7 +77,7 @@ class Asked:
     smooth: bool
 
 
-def promise_kept(field: Field, edit: Edit, asked: Asked) -> list[str]:
+def promise_kept(field: Field, edit: Edit, asked: AskedFlow) -> list[str]:
     """Return a sentence for each promise of its flow that an edit of the field has broken."""
     if not edit.history or edit.status not in (EditStatus.DONE, EditStatus.REACHED):
         return []
@@ -90,7 +90,7 @@ def promise_kept(field: Field, edit: Edit, asked: Asked) -> list[str]:
         return broken
 
 
-def _stood_still(field: Field, edit: Edit, asked: Asked) -> list[str]:
+def _stood_still(field: Field, edit: Edit, asked: AskedFlow) -> list[str]:
     flow = asked.flow
     if isinstance(flow, Bending) and not asked.smooth:
         before, after = (_bending_energy(part, asked.resolution) for part in (field, edit.field))
