@@ -88,9 +88,8 @@ def as_published(width: int, depth: int, frequency: float) -> nn.Sequential:
 
 
 def normed_chain(width: int, depth: int, norm: Callable[[nn.Module], nn.Module]) -> nn.Sequential:
-    return nn.Sequential(
-        *(norm(part) if isinstance(part, nn.Linear) else part for part in chain(width, depth, nn.ReLU))
-    )
+    layers = chain(width, depth, nn.ReLU)
+    return nn.Sequential(*(norm(part) if isinstance(part, nn.Linear) else part for part in layers))
 
 
 class FourierFeatures(nn.Module):
@@ -218,67 +217,78 @@ class Architecture:
 
 _RELU_NORM = nn.utils.parametrizations.weight_norm
 
-ARCHITECTURES: dict[str, Architecture] = {
-    row.name: row
-    for row in (
+
+def _either(small: Callable[[], nn.Module], large: Callable[[], nn.Module]) -> Callable[[bool], nn.Module]:
+    """Return a function that makes the small one, or the large one."""
+    return lambda is_small: small() if is_small else large()
+
+
+def _table() -> list[Architecture]:
+    relu = (16, 2), (48, 4)
+    skipped = (16, 3, 2), (64, 6, 3)
+    return [
         Architecture(
             "sines of our own",
-            lambda s: Siren(width=12, depth=2, first_frequency=4.0, frequency=4.0) if s else Siren(width=48),
+            _either(lambda: Siren(width=12, depth=2, first_frequency=4.0, frequency=4.0), lambda: Siren(width=48)),
         ),
-        Architecture("SIREN as published", lambda s: as_published(14, 2, 8.0) if s else as_published(48, 3, 30.0)),
-        Architecture("ReLU", lambda s: chain(16, 2, nn.ReLU) if s else chain(48, 4, nn.ReLU), smooth=False),
         Architecture(
-            "ReLU, weight norm", lambda s: normed_chain(*((16, 2) if s else (48, 4)), _RELU_NORM), smooth=False
+            "SIREN as published", _either(lambda: as_published(14, 2, 8.0), lambda: as_published(48, 3, 30.0))
         ),
+        Architecture("ReLU", lambda small: chain(*relu[not small], nn.ReLU), smooth=False),
+        Architecture("ReLU, weight norm", lambda small: normed_chain(*relu[not small], _RELU_NORM), smooth=False),
         Architecture(
             "ReLU, older weight norm",
-            lambda s: normed_chain(*((16, 2) if s else (48, 4)), nn.utils.weight_norm),
+            lambda small: normed_chain(*relu[not small], nn.utils.weight_norm),
             smooth=False,
         ),
-        Architecture(
-            "IGR: softplus 100, skip",
-            lambda s: ImplicitGeometricRegularisation(*((16, 3, 2) if s else (64, 6, 3))),
-        ),
+        Architecture("IGR: softplus 100, skip", lambda small: ImplicitGeometricRegularisation(*skipped[not small])),
         Architecture(
             "DeepSDF: weight norm, skip, tanh",
-            lambda s: DeepSdf(*((16, 3, 2) if s else (64, 6, 3)), parametrized=True),
+            lambda small: DeepSdf(*skipped[not small], parametrized=True),
             smooth=False,
         ),
-        Architecture("ELU", lambda s: chain(12, 2, nn.ELU) if s else chain(48, 4, nn.ELU)),
+        Architecture("ELU", _either(lambda: chain(12, 2, nn.ELU), lambda: chain(48, 4, nn.ELU))),
         Architecture(
             "occupancy: sigmoid",
-            lambda s: chain(12, 2, nn.Tanh) if s else chain(48, 3, nn.Tanh),
+            _either(lambda: chain(12, 2, nn.Tanh), lambda: chain(48, 3, nn.Tanh)),
             wrap=Occupancy,
             options={"level": 0.5, "inside": "positive"},
         ),
         Architecture(
             "Fourier features, ReLU",
-            lambda s: FourierFeatures(8, 16, 2, 0.3) if s else FourierFeatures(24, 48, 3, 0.7),
+            _either(lambda: FourierFeatures(8, 16, 2, 0.3), lambda: FourierFeatures(24, 48, 3, 0.7)),
             smooth=False,
         ),
-        Architecture("NeRF encoding, softplus", lambda s: nerf(12, 1, 2) if s else nerf(48, 3, 4)),
-        Architecture("residual", lambda s: Residual(12 if s else 64)),
-        Architecture("dense grid", lambda s: DenseGrid(resolution=6 if s else 20), rows="sparse"),
+        Architecture("NeRF encoding, softplus", _either(lambda: nerf(12, 1, 2), lambda: nerf(48, 3, 4))),
+        Architecture("residual", lambda small: Residual(12 if small else 64)),
+        Architecture("dense grid", lambda small: DenseGrid(resolution=6 if small else 20), "sparse"),
         Architecture(
-            "hash grid", lambda s: HashGrid(levels=2, table=64, degree=2, width=8) if s else HashGrid(), "sparse"
+            "hash grid", _either(lambda: HashGrid(levels=2, table=64, degree=2, width=8), lambda: HashGrid()), "sparse"
         ),
         Architecture(
             "tri-plane",
-            lambda s: TriPlane(5, 3, width=8, depth=1) if s else TriPlane(24, 6, width=24, depth=2),
-            rows="sparse",
+            _either(lambda: TriPlane(5, 3, width=8, depth=1), lambda: TriPlane(24, 6, width=24, depth=2)),
+            "sparse",
         ),
-        Architecture("attention", lambda s: Attention(16 if s else 64), rows="vmap"),
+        Architecture("attention", lambda small: Attention(16 if small else 64), "vmap"),
         Architecture(
-            "a forward that looks at its data", lambda s: chain(10 if s else 24, 2, nn.Tanh), "point by point", Checking
+            "a forward that looks at its data",
+            lambda small: chain(10 if small else 24, 2, nn.Tanh),
+            "point by point",
+            Checking,
         ),
         Architecture(
             "ELU in half precision",
-            lambda s: chain(12, 2, nn.ELU) if s else chain(48, 4, nn.ELU),
+            _either(lambda: chain(12, 2, nn.ELU), lambda: chain(48, 4, nn.ELU)),
             wrap=lambda module: module.half(),
         ),
-        Architecture("a decoder's code", lambda s: WithCode(16, 2, 1, 6) if s else WithCode(64, 4, 2, 16), code=True),
-    )
-}
+        Architecture(
+            "a decoder's code", _either(lambda: WithCode(16, 2, 1, 6), lambda: WithCode(64, 4, 2, 16)), code=True
+        ),
+    ]
+
+
+ARCHITECTURES: dict[str, Architecture] = {row.name: row for row in _table()}
 
 
 def build(name: str, small: bool) -> nn.Module:
@@ -666,7 +676,7 @@ HEADINGS = {
     "s  ": "smooth",
     "volume off by": "smooth, volume held",
     "s   ": "smooth, volume held",
-    "points of the surface moved: off by": "semantic_edit",
+    "points off by": "semantic_edit",
     "what is lost": "",
 }
 
@@ -702,24 +712,25 @@ def page(rows: list[dict[str, Any]]) -> str:
 PROSE = """# Which network, which operations, at which cost
 
 Each row is a network that people bring, trained by `fit_field` on the distances of a body (a capsule) and taken through
-every operation; `python tests/implicit/architectures.py --write` measures it again and makes this page. The same table, at
-sizes that take a second a row, is a test: [tests/implicit/test_architectures.py](../tests/implicit/test_architectures.py).
-Seconds are processor seconds of one thread on a machine with other work. All networks work in float32, edits of 1000
-points, meshes of 32 cells.
+every operation. `python tests/implicit/architectures.py --write` measures the rows again and makes this page. The same
+table at sizes that take a second is a test: [test_architectures.py](../tests/implicit/test_architectures.py).
+Seconds are processor seconds of one thread, on a machine that others used at the same time: they compare rows, and are up
+to twice what a machine of one's own takes. Edits are of 1000 points, meshes of 32 cells, networks in float32.
 
-- *rows*: how rows of the basis are found. A closed form comes from the layers in the module's graph, sparse rows from the few
-  parameters that act near a point; else torch vectorises over the points (vmap), or goes point by point where it cannot.
-- *basis off by*: rows against central differences of the real motion of the surface along its normal, in float64; relative.
-- *bump*: `geometric_edit` by 4 % of half the bounds on half the body, the rest fixed: root mean square error over the largest
-  target, at points that carried none; *foretold* is what `expressibility` says before. The seconds are those of both.
+- *rows*: how rows of the basis are found. A closed form comes from the layers in the module's graph, sparse rows from
+  the few parameters that act near a point; else torch vectorises over points (vmap), or goes point by point.
+- *basis off by*: rows against central differences of the real motion of the surface along its normal in float64, by root
+  finding, relative to the largest; at points that no kink passes.
+- *bump*: `geometric_edit` by 4 % of half the bounds on half the body, the rest fixed: root mean square error over the
+  largest target, at points that carried none; *foretold* by `expressibility`. The seconds are those of both.
 - *pull*: `rigid_edit`, one end held, the other moved aside by 0.1: error at the handles over that.
-- *smoothing*: area lost in five steps of `smooth`, over the area that the mesh flow of the same surface loses.
-- *volume*: the same five steps with `Volume()` held, measured on another quadrature.
-- *points moved*: `semantic_edit` of 60 points towards a motion that the parameters have: part of it that is missed; it stops at 5 %
-  as it measures before its last step.
+- *smoothing*: area lost in five steps of `smooth`, over what the mesh flow of the same surface loses.
+- *volume off by*: after five such steps with `Volume()` held, on another quadrature than the one that held it.
+- *points off by*: `semantic_edit` of 60 points towards a motion that the parameters have. It stops where it measures 5 %
+  before a step.
 
-Every field was saved and read again to the same bits by `save_field(..., builder=...)`, showed `basis_function`s that are the
-columns of the basis, `surface_modes` that are orthonormal over the surface, and was trained on by `fit_field(..., start=)`; what
+Every field was saved and read again by `save_field(..., builder=...)` to the same bits, its `basis_function`s are columns
+of the basis, its `surface_modes` are orthonormal over the surface, and `fit_field(..., start=)` trains on from it; what
 did not is said under *what is lost*.
 
 """

@@ -14,7 +14,7 @@ import pytest
 
 from implicit.surface.sampling import sample_surface
 from tests.implicit import architectures
-from tests.implicit.architectures import ARCHITECTURES, OPERATIONS, Subject, rows_of
+from tests.implicit.architectures import ARCHITECTURES, OPERATIONS, PAGE, Subject, page, rows_of, stored
 
 pytestmark = pytest.mark.filterwarnings("ignore:The module cannot be vectorised")
 
@@ -99,3 +99,22 @@ def test_the_rows_of_each_are_found_as_the_table_says(name):
     """By structure where there is some; and without it to the same digits, as the real motion tells."""
     field = subject(name).field
     assert rows_of(field, subject(name).others.points) == ARCHITECTURES[name].rows
+
+
+def test_the_page_is_that_of_measured_rows_of_this_table():
+    rows = stored()
+    assert [row["name"] for row in rows] == list(ARCHITECTURES), "Run python tests/implicit/architectures.py --write."
+    assert all(list(row["results"]) == list(OPERATIONS) for row in rows)
+    assert PAGE.read_text() == page(rows)
+
+
+@pytest.mark.parametrize("row", stored(), ids=lambda row: row["name"])
+def test_what_was_measured_of_each_row_bears_out_what_it_says(row):
+    """At sizes that people have: rows are right, files too, and no edit that misses is done."""
+    found = row["results"]
+    assert not [operation for operation, result in found.items() if "refused" in result]
+    assert row["rows"] == ARCHITECTURES[row["name"]].rows
+    assert found["basis"]["motion"] < 1e-6
+    assert found["save_field, load_field"]["same"]
+    for operation, (key, largest) in DONE_WITHIN.items():
+        assert found[operation][key] <= largest or found[operation]["status"] != "DONE"

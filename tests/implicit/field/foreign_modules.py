@@ -756,7 +756,7 @@ CUTTING = {
     "no_grad": "cut off from them",
     "inference mode": "cut off from them",
     "numpy": "cut off from them",
-    "hard": "could not be placed|gradient of the field vanishes",
+    "hard": "discontinuous",
     "mean": "same value in whatever company",
     "order": "same value in whatever company",
     "noise": "same values each time",
