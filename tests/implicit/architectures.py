@@ -338,6 +338,7 @@ SMALL = Sizes(True, 100, 100, 10, 40, 600, 1, 1, 2, 10, 1e-3, torch.float64)
 LARGE = Sizes(False, 1000, 1000, 32, 500, 600, 5, 5, None, 64, None, torch.float32)
 
 FIT_STEPS = 800
+FEW = 1000  # parameters, of which least squares make more than training does
 
 BODY = shapes.capsule((-0.25, 0.0, 0.0), (0.25, 0.0, 0.0), 0.4)
 
@@ -394,6 +395,10 @@ class Subject:
         """Return the large one of that name, trained on distances for some seconds."""
         row = ARCHITECTURES[name]
         module = row.module(small=False)
+        if sum(p.numel() for p in module.parameters()) < FEW:
+            points, distances, _ = distances_of(1000, 1000)
+            least_squares_fit(Field(module.double()), points, distances).write_back()
+            return Subject(row, row.field(module, LARGE.dtype), LARGE)
         points, distances, normals = (x.float() for x in distances_of(40_000, 10_000))
         field, _ = fit_field(points, distances, normals, module=module, steps=FIT_STEPS, batch=1024)
         field.write_back()
@@ -711,26 +716,25 @@ def page(rows: list[dict[str, Any]]) -> str:
 
 PROSE = """# Which network, which operations, at which cost
 
-Each row is a network that people bring, trained by `fit_field` on the distances of a body (a capsule) and taken through
-every operation. `python tests/implicit/architectures.py --write` measures the rows again and makes this page. The same
+Each row is a network that people bring, fitted to the distances of a body (a capsule) and taken through every operation. `python tests/implicit/architectures.py --write` measures the rows again and makes this page. The same
 table at sizes that take a second is a test: [test_architectures.py](../tests/implicit/test_architectures.py).
-Seconds are processor seconds of one thread, on a machine that others used at the same time: they compare rows, and are up
-to twice what a machine of one's own takes. Edits are of 1000 points, meshes of 32 cells, networks in float32.
+Seconds are processor seconds of one thread, on a machine that others used at the same time: they compare rows, and are
+up to twice what a machine of one's own takes. Edits are of 1000 points, meshes of 32 cells, networks in float32.
 
 - *rows*: how rows of the basis are found. A closed form comes from the layers in the module's graph, sparse rows from
   the few parameters that act near a point; else torch vectorises over points (vmap), or goes point by point.
-- *basis off by*: rows against central differences of the real motion of the surface along its normal in float64, by root
-  finding, relative to the largest; at points that no kink passes.
+- *basis off by*: rows against central differences of the real motion of the surface along its normal in float64, by
+  root finding, relative to the largest; at points that no kink passes.
 - *bump*: `geometric_edit` by 4 % of half the bounds on half the body, the rest fixed: root mean square error over the
   largest target, at points that carried none; *foretold* by `expressibility`. The seconds are those of both.
 - *pull*: `rigid_edit`, one end held, the other moved aside by 0.1: error at the handles over that.
 - *smoothing*: area lost in five steps of `smooth`, over what the mesh flow of the same surface loses.
 - *volume off by*: after five such steps with `Volume()` held, on another quadrature than the one that held it.
-- *points off by*: `semantic_edit` of 60 points towards a motion that the parameters have. It stops where it measures 5 %
-  before a step.
+- *points off by*: `semantic_edit` of 60 points towards a motion that the parameters have. It stops where it measures
+  5 % before a step.
 
-Every field was saved and read again by `save_field(..., builder=...)` to the same bits, its `basis_function`s are columns
-of the basis, its `surface_modes` are orthonormal over the surface, and `fit_field(..., start=)` trains on from it; what
+Every field was saved and read again by `save_field(..., builder=...)` to the same bits, its `basis_function`s are
+columns of the basis, its `surface_modes` are orthonormal over the surface, and `fit_field(..., start=)` trains on from it; what
 did not is said under *what is lost*.
 
 """
