@@ -716,10 +716,11 @@ def page(rows: list[dict[str, Any]]) -> str:
 
 PROSE = """# Which network, which operations, at which cost
 
-Each row is a network that people bring, fitted to the distances of a body (a capsule) and taken through every operation. `python tests/implicit/architectures.py --write` measures the rows again and makes this page. The same
-table at sizes that take a second is a test: [test_architectures.py](../tests/implicit/test_architectures.py).
-Seconds are processor seconds of one thread, on a machine that others used at the same time: they compare rows, and are
-up to twice what a machine of one's own takes. Edits are of 1000 points, meshes of 32 cells, networks in float32.
+Each row is a network that people bring, fitted to the distances of a body (a capsule) and taken through every operation.
+`python tests/implicit/architectures.py --write` measures the rows again and makes this page. The same table at sizes that
+take a second is a test: [test_architectures.py](../tests/implicit/test_architectures.py). Seconds are processor seconds
+of one thread, on a machine that others used at the same time: they compare rows, and are up to twice what a machine of
+one's own takes. Edits are of 1000 points, meshes of 32 cells, networks in float32.
 
 - *rows*: how rows of the basis are found. A closed form comes from the layers in the module's graph, sparse rows from
   the few parameters that act near a point; else torch vectorises over points (vmap), or goes point by point.
@@ -734,8 +735,8 @@ up to twice what a machine of one's own takes. Edits are of 1000 points, meshes 
   5 % before a step.
 
 Every field was saved and read again by `save_field(..., builder=...)` to the same bits, its `basis_function`s are
-columns of the basis, its `surface_modes` are orthonormal over the surface, and `fit_field(..., start=)` trains on from it; what
-did not is said under *what is lost*.
+columns of the basis, its `surface_modes` are orthonormal over the surface, and `fit_field(..., start=)` trains on from
+it; what did not is said under *what is lost*.
 
 """
 
@@ -758,6 +759,8 @@ def _losses(row: dict[str, Any]) -> Iterator[str]:
         yield "curvature, in weak form from the mesh"
     if row["rows"] == "point by point":
         yield "speed"
+    if abs(r["smooth"].get("ratio", 1.0) - 1) > 0.05:
+        yield f"smooth: {abs(1 - r['smooth']['ratio']):.0%} off the mesh flow"
     if ARCHITECTURES[row["name"]].wrap is not None and row["name"].endswith("half precision"):
         yield "digits: it works on float32 copies"
     for operation, result in r.items():
