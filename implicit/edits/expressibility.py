@@ -150,17 +150,19 @@ def expressibility(
     targets_of = partial(SummedTargets, listed, rest=rest, least_alignment=least_alignment)
     sample = carriers(field, points, targets_of, seed=seed).sample
     schedule = PartSchedule.of(steps)
-    operation = GeometricOperation(field, targets_of, sample, schedule, damping, off_surface_strength, None, seed)
     others = sample_surface(field, points, seed=seed + 1)
     displacement = targets_of(others.points, others.normals).target()
-    solved = first_solve(field, operation, sample)
+    # Repeated inverses cancel as many digits as the damping lies below the trace: more than float32 has.
+    precise, exact = field.to(torch.float64), sample.to(torch.float64)
+    operation = GeometricOperation(precise, targets_of, exact, schedule, damping, off_surface_strength, None, seed)
+    solved = first_solve(precise, operation, exact)
     if isinstance(solved, EditStatus):
         raise ValueError(f"No prediction can be made, for the edit ends before its first step. {solved.value}")
     system, solution = solved
     x = torch.zeros_like(system.right)
     for step in range(1, steps + 1):
         x = system.inverse(step * system.right + solution.damping * x)
-    moved = normal_displacement(field, others.points, x.to(field.theta))
+    moved = normal_displacement(precise, others.points.double(), x.to(precise.theta)).to(field.dtype)
     return _judged(others, displacement, moved, solution, steps)
 
 

@@ -13,6 +13,7 @@ and of their flat ones is a bound once the cells resolve the shape.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -55,49 +56,44 @@ def area_growth(flow: Flow, constraints: Sequence[Functional], least: float, sur
     )
 
 
-def promise_kept(
-    field: Field,
-    edit: Edit,
-    flow: Flow,
-    step_size: float,
-    constraints: Sequence[Functional],
-    where: Region | None,
-    resolution: int,
-    *,
-    smooth: bool,
-) -> list[str]:
-    """Return a sentence for each promise of its flow that an edit has broken.
+@dataclass(frozen=True, eq=False)
+class AskedFlow:
+    """What was asked of a surface, and how it is looked at.
 
-    Args:
-        field: Before the edit.
+    Attributes:
+        flow: The law of motion.
         step_size: Time of a step.
-        where: Region that scales the speed.
+        constraints: Functionals that are held.
+        where: Region that scales the speed; None is everywhere.
         resolution: Cells along the longest side of the bounds.
         smooth: Whether curvature can be sampled at points.
     """
+
+    flow: Flow
+    step_size: float
+    constraints: Sequence[Functional]
+    where: Region | None
+    resolution: int
+    smooth: bool
+
+
+def promise_kept(field: Field, edit: Edit, asked: AskedFlow) -> list[str]:
+    """Return a sentence for each promise of its flow that an edit of the field has broken."""
     if not edit.history or edit.status not in (EditStatus.DONE, EditStatus.REACHED):
         return []
     broken = [row["flow"] for row in edit.history if "flow" in row][-1:]
-    if not _only_keep_volume(constraints):
+    if not _only_keep_volume(asked.constraints):
         return broken
     try:
-        return broken + _stood_still(field, edit, flow, step_size, constraints, where, resolution, smooth)
+        return broken + _stood_still(field, edit, asked)
     except SurfaceError:  # the surface could be measured in every step, so only a mesh of its own is missing here
         return broken
 
 
-def _stood_still(
-    field: Field,
-    edit: Edit,
-    flow: Flow,
-    step_size: float,
-    constraints: Sequence[Functional],
-    where: Region | None,
-    resolution: int,
-    smooth: bool,
-) -> list[str]:
-    if isinstance(flow, Bending) and not smooth:
-        before, after = (_bending_energy(part, resolution) for part in (field, edit.field))
+def _stood_still(field: Field, edit: Edit, asked: AskedFlow) -> list[str]:
+    flow = asked.flow
+    if isinstance(flow, Bending) and not asked.smooth:
+        before, after = (_bending_energy(part, asked.resolution) for part in (field, edit.field))
         if after > (1 + BENDING_NOISE) * before:
             return [
                 f"The bending energy grew to {after:.4g} from {before:.4g}, which its flow never lets it. Take smaller "
@@ -105,29 +101,29 @@ def _stood_still(
             ]
         return []
     if isinstance(flow, MeanCurvature):
-        kappa = _curvature(field, edit.points, resolution, smooth)
+        kappa = _curvature(field, edit.points, asked.resolution, asked.smooth)
         level = flow.level
-        if constraints or level == "mean":
+        if asked.constraints or level == "mean":
             level = float(edit.weights @ kappa / edit.weights.sum())
-        asked = kappa - level
-        if _size(asked, edit.weights) < AT_REST * _size(kappa, edit.weights):
+        speed = kappa - level
+        if _size(speed, edit.weights) < AT_REST * _size(kappa, edit.weights):
             return []
     elif isinstance(flow, Offset):
-        asked = torch.full_like(edit.weights, flow.speed)
-        if constraints:  # a constant speed at constant volume is none
+        speed = torch.full_like(edit.weights, flow.speed)
+        if asked.constraints:  # a constant speed at constant volume is none
             return []
     else:
         return []
-    if where is not None:
-        asked = asked * where(edit.points)
-    wanted = step_size * _size(asked, edit.weights)
+    if asked.where is not None:
+        speed = speed * asked.where(edit.points)
+    wanted = asked.step_size * _size(speed, edit.weights)
     moved = _size(edit.displacement.norm(dim=1), edit.weights)
     if moved >= STOOD_STILL * wanted:
         return []
+    remedy = "Take more directions, or less damping." if asked.smooth else 'Leave the form measured: curvature="auto".'
     return [
         f"The surface moved by {moved:.2g} (root mean square) in {len(edit.history)} steps, where the flow asked for "
-        f"{wanted:.2g} in the first alone. "
-        + ("Take more directions, or less damping." if smooth else 'Leave the form to be measured: curvature="auto".')
+        f"{wanted:.2g} in the first alone. {remedy}"
     ]
 
 

@@ -27,7 +27,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.arguments import require_callable, require_choice, require_positive, require_whole
-from implicit.edits.flow_promises import area_growth, promise_kept
+from implicit.edits.flow_promises import AskedFlow, area_growth, promise_kept
 from implicit.edits.flows import Flow, MeanCurvature, WeakFlow
 from implicit.edits.regions import Region
 from implicit.evolve.constraints import Holding, checked_constraints
@@ -196,7 +196,7 @@ def smooth(
         track=track,
         progress=progress,
     )
-    broken = promise_kept(field, edit, flow, size, constraints, where, holding.resolution, smooth=turning.is_smooth)
+    broken = promise_kept(field, edit, AskedFlow(flow, size, constraints, where, holding.resolution, turning.is_smooth))
     notes = (*edit.notes, *_form_used(curvature, weak, turning, holding.resolution), *broken)
     return replace(edit, notes=notes, status=edit_status(edit.status, followed=not broken))
 

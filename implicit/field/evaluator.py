@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Any, Protocol
@@ -160,6 +160,11 @@ class OfModule:
         """Return all that the module gives."""
         edited = [theta[block.where].view(block.shape) for block in self._layout]
         return self._frozen(zip(self._places, edited, strict=True), *self._form.arguments(points))
+
+    def with_values(self, values: Mapping[str, Tensor], *arguments: Any) -> Any:
+        """Return what the module gives to arguments of its own, with values of edited parameters by their names."""
+        named = zip(self._layout, self._places, strict=True)
+        return self._frozen(((places, values[block.name]) for block, places in named), *arguments)
 
     def in_form(self, form: Form) -> OfModule:
         """Return the same function with points given and values taken in another way."""

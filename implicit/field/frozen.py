@@ -19,7 +19,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, MutableMapping
 from types import CellType, CodeType, FunctionType, MethodType, SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -95,8 +95,7 @@ class Frozen:
             finally:
                 for where, key, tensor in reversed(before):
                     where[key] = tensor
-                for kept in self._kept:
-                    kept.restore()
+                _put_back(self._kept)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "_lock"}
@@ -136,44 +135,46 @@ class guarded:
             part.__dict__["training"] = False
 
     def __exit__(self, *_: object) -> None:
-        for kept in self._kept:
-            kept.restore()
+        _put_back(self._kept)
 
 
-class _Kept:
-    """A dictionary or list, or the attributes of a module, and what was there, by identity."""
+class _Kept(NamedTuple):
+    """A dictionary or list that a forward may write to, and the values that were there, with a dictionary's keys."""
 
-    def __init__(self, holder: Any) -> None:
-        self._holder = holder
-        now = self._now()
-        self._keys = None if isinstance(now, list) else list(now)
-        self._values = list(now if self._keys is None else now.values())
+    holder: Any
+    keys: list[Any] | None
+    values: list[Any]
 
-    def restore(self) -> None:
-        """Put back what was there, where anything has changed."""
-        now = self._now()
-        entries = now if self._keys is None else now.values()
-        if len(now) == len(self._values) and all(map(operator.is_, entries, self._values)):
-            return
-        now.clear()
-        if self._keys is None:
-            now.extend(self._values)
+    @staticmethod
+    def of(holder: dict[Any, Any] | list[Any]) -> _Kept:
+        """Return what is there now."""
+        if isinstance(holder, list):
+            return _Kept(holder, None, list(holder))
+        return _Kept(holder, list(holder), list(holder.values()))
+
+
+def _put_back(kept: Iterable[_Kept]) -> None:
+    """Put back what was there, where anything has changed; one loop, for it follows each evaluation."""
+    for holder, keys, values in kept:
+        entries = holder if keys is None else holder.values()
+        if len(holder) == len(values) and all(map(operator.is_, entries, values)):
+            continue
+        holder.clear()
+        if keys is None:
+            holder.extend(values)
         else:
-            now.update(zip(self._keys, self._values, strict=True))
-
-    def _now(self) -> Any:
-        return self._holder.__dict__ if isinstance(self._holder, nn.Module) else self._holder
+            holder.update(zip(keys, values, strict=True))
 
 
 def _kept(part: nn.Module) -> Iterator[_Kept]:
     """Yield what a module's forward may write to: its attributes, its buffers, and its own lists and dictionaries."""
     if isinstance(part, torch.jit.ScriptModule):
         return
-    yield _Kept(part)
-    yield _Kept(part._buffers)
+    yield _Kept.of(part.__dict__)
+    yield _Kept.of(part._buffers)
     for name, value in part.__dict__.items():
         if name not in _INTERNAL and type(value) in (list, dict):
-            yield _Kept(value)
+            yield _Kept.of(value)
 
 
 class _Copying:

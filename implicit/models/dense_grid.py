@@ -43,10 +43,6 @@ class DenseGrid(GridField):
         require_grid(
             dimension=dimension, features=features, degree=degree, width=width, depth=depth, resolution=resolution
         )
-        if resolution <= degree:
-            raise ValueError(
-                f"resolution must be above the degree {degree}, for one cell at least, but is {resolution}."
-            )
         super().__init__(
             resolution**dimension,
             features,

@@ -152,8 +152,16 @@ class GridField(nn.Module, ABC):
         }
 
 
-def require_grid(*, dimension: int, features: int, degree: int, width: int, depth: int, **sizes: int) -> None:
-    """Refuse sizes of a grid that are none."""
+def require_grid(
+    *, dimension: int, features: int, degree: int, width: int, depth: int, resolution: int | None = None, **sizes: int
+) -> None:
+    """Refuse sizes of a grid that are none.
+
+    Args:
+        dimension, features, degree, width, depth: Of every grid.
+        resolution: Nodes along an axis, where those are given: more than the degree, for one cell at least.
+        sizes: Further whole numbers of at least 1.
+    """
     require_whole("dimension", dimension, 2, "", 3)
     require_whole("features", features)
     require_whole("degree", degree, 1, "", 3)
@@ -161,3 +169,9 @@ def require_grid(*, dimension: int, features: int, degree: int, width: int, dept
     require_whole("depth", depth, 0)
     for name, size in sizes.items():
         require_whole(name, size)
+    if resolution is not None:
+        require_whole("resolution", resolution)
+        if resolution <= degree:
+            raise ValueError(
+                f"resolution must be above the degree {degree}, for one cell at least, but is {resolution}."
+            )

@@ -49,10 +49,6 @@ class TriPlane(GridField):
     ) -> None:
         require_grid(dimension=3, features=features, degree=degree, width=width, depth=depth, resolution=resolution)
         require_choice("combine", combine, ("sum", "concatenate", "product"))
-        if resolution <= degree:
-            raise ValueError(
-                f"resolution must be above the degree {degree}, for one cell at least, but is {resolution}."
-            )
         super().__init__(
             3 * resolution**2,
             features,

@@ -17,10 +17,11 @@ import torch
 from jaxtyping import Float, Int
 from scipy.sparse import csr_array, vstack
 from torch import Tensor
-from torch.func import functional_call, grad, vmap
+from torch.func import grad, vmap
 
-from implicit.field.evaluator import Parameter
+from implicit.field.evaluator import OfModule, Parameter
 from implicit.field.field import Field
+from implicit.field.forms import Form
 from implicit.sensitivity.boundary_sensitivity import parameter_gradient
 from implicit.sensitivity.closed_form import has_closed_form
 
@@ -54,8 +55,8 @@ def has_sparse_rows(field: Field, points: Float[Tensor, "n d"]) -> bool:
     """
     if field.takes_code or has_closed_form(field) or len(points) == 0:
         return False
-    if isinstance(field.module, LocalModule):
-        return _local_blocks(field)[0] != []
+    if (module := _local_module(field)) is not None:
+        return _local_blocks(field, module)[0] != []
     if len(field.theta) < LEAST_PARAMETERS:
         return False
     probes = points[torch.linspace(0, len(points) - 1, min(PROBES, len(points))).long()]
@@ -72,9 +73,16 @@ def sparse_parameter_gradient(field: Field, points: Float[Tensor, "n d"]) -> csr
     size = len(points), len(field.theta)
     if len(points) == 0:
         return csr_array(size)
-    if isinstance(field.module, LocalModule) and _local_blocks(field)[0]:
-        return _by_local_values(field, points)
+    if (module := _local_module(field)) is not None and _local_blocks(field, module)[0]:
+        return _by_local_values(field, module, points)
     return _by_blocks(field, points)
+
+
+def _local_module(field: Field) -> LocalModule | None:
+    """Return the module as it is evaluated, where it says which parameters act and takes points as they are."""
+    evaluator = field._evaluator
+    module = evaluator.module
+    return module if isinstance(module, LocalModule) and evaluator.form == Form() else None
 
 
 def _by_blocks(field: Field, points: Tensor) -> csr_array:
@@ -84,18 +92,18 @@ def _by_blocks(field: Field, points: Tensor) -> csr_array:
     return vstack(blocks, format="csr")
 
 
-def _by_local_values(field: Field, points: Tensor) -> csr_array:
+def _by_local_values(field: Field, module: LocalModule, points: Tensor) -> csr_array:
     """Return the rows of a module that says which parameters act where."""
-    module = field.module
-    assert isinstance(module, LocalModule)
-    local_blocks, other_blocks = _local_blocks(field)
+    evaluator = field._evaluator
+    assert isinstance(evaluator, OfModule)
+    local_blocks, other_blocks = _local_blocks(field, module)
     others = {block.name: field.theta[block.where].view(block.shape) for block in other_blocks}
     theta = {block.name: field.theta[block.where] for block in local_blocks}
     fixed = {block.name: field.theta[block.where].view(block.shape) for block in local_blocks}
 
     def value(local: dict[str, Tensor], other: dict[str, Tensor], point: Tensor) -> Tensor:
         rows = {name: values[None] for name, values in local.items()}
-        f = functional_call(module, {**fixed, **other}, (point[None], rows))
+        f = evaluator.with_values({**fixed, **other}, point[None], rows)
         return f.reshape(()) * field.sign
 
     gradient = vmap(grad(value, argnums=(0, 1)), in_dims=(0, None, 0))
@@ -132,10 +140,8 @@ def _csr(columns: Tensor, values: Tensor, size: int) -> csr_array:
     return matrix
 
 
-def _local_blocks(field: Field) -> tuple[list[Parameter], list[Parameter]]:
+def _local_blocks(field: Field, module: LocalModule) -> tuple[list[Parameter], list[Parameter]]:
     """Return the edited parameters that act at few points each, and the others."""
-    module = field.module
-    assert isinstance(module, LocalModule)
     with torch.no_grad():
         named = module.local_parameters(field.bounds[:1])
     local = [block for block in field.layout if block.name in named]

@@ -1,4 +1,8 @@
-"""Odd modules that people bring, each a ball of radius about 0.5 with a small network on top, made by code and seed."""
+"""Odd modules that people bring, each a disc of radius about 0.5 with a small network on top, made by code and seed.
+
+They are of the plane, where an edit costs a fifth of one in space; what is odd about them knows no dimension. BODIES
+times AROUND, and some of them times CUTTING, are made from these for the tests of combinations.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,7 @@ from dataclasses import dataclass
 import torch
 import torch.nn.functional as F
 from torch import nn
-from torch.nn.utils import prune, weight_norm
+from torch.nn.utils import parametrizations, prune, spectral_norm, weight_norm
 from torch.utils.checkpoint import checkpoint
 
 
@@ -26,7 +30,7 @@ def seeded(module: nn.Module, std: float = 0.4) -> nn.Module:
 
 def layers(activation: type[nn.Module] = nn.Tanh, width: int = 8) -> nn.Sequential:
     network = nn.Sequential(
-        nn.Linear(3, width), activation(), nn.Linear(width, width), activation(), nn.Linear(width, 1)
+        nn.Linear(2, width), activation(), nn.Linear(width, width), activation(), nn.Linear(width, 1)
     )
     return seeded(network)
 
@@ -50,7 +54,7 @@ def each_linear(wrap, activation: type[nn.Module] = nn.Tanh) -> nn.Module:
             if isinstance(part, nn.Linear):
                 network[k] = wrap(part)
         for _ in range(20):  # brings those vectors home, and leaves a product with a history in the older norms
-            network(torch.ones(1, 3))
+            network(torch.ones(1, 2))
     return Ball(network)
 
 
@@ -76,7 +80,7 @@ class Twice(nn.Module):
 
 
 def tied(kind: str) -> nn.Module:
-    network = nn.Sequential(nn.Linear(3, 6), nn.Tanh(), nn.Linear(6, 6), nn.Tanh(), nn.Linear(6, 6), nn.Linear(6, 1))
+    network = nn.Sequential(nn.Linear(2, 6), nn.Tanh(), nn.Linear(6, 6), nn.Tanh(), nn.Linear(6, 6), nn.Linear(6, 1))
     seeded(network)
     if kind == "object":
         network[4].weight = network[2].weight
@@ -88,7 +92,7 @@ def tied(kind: str) -> nn.Module:
 class Skip(nn.Module):
     def __init__(self) -> None:
         super().__init__()
-        self.first, self.second, self.last = nn.Linear(3, 6), nn.Linear(9, 6), nn.Linear(6, 1)
+        self.first, self.second, self.last = nn.Linear(2, 6), nn.Linear(8, 6), nn.Linear(6, 1)
         seeded(self)
 
     def forward(self, points):
@@ -104,7 +108,7 @@ class Encoded(nn.Module):
         super().__init__()
         self.last = nn.Linear(24, 1)
         seeded(self)
-        matrix = torch.randn(3, 12, generator=torch.Generator().manual_seed(1))
+        matrix = torch.randn(2, 12, generator=torch.Generator().manual_seed(1))
         self.way = way
         self.register_buffer("matrix", matrix) if way == "buffer" else setattr(self, "matrix", None)
         kept = {
@@ -201,16 +205,16 @@ class Uncopyable(nn.Module):
 class Form(nn.Module):
     """Takes points and gives values in one of many forms."""
 
-    def __init__(self, takes: str = "", gives: str = "") -> None:
+    def __init__(self, takes: str = "", gives: str = "", ball: nn.Module | None = None) -> None:
         super().__init__()
-        self.ball, self.takes, self.gives = Ball(layers()), takes, gives
+        self.ball, self.takes, self.gives = Ball(layers()) if ball is None else ball, takes, gives
 
     def forward(self, argument):
         return self.given(*self.taken(argument))
 
     def taken(self, argument):
         if self.takes == "columns":
-            assert argument.shape[0] == 3
+            assert argument.shape[0] == 2
             return self.ball(argument.T), argument.T
         if self.takes == "dictionary":
             return self.ball(argument["coords"]), argument["coords"]
@@ -247,7 +251,7 @@ class WithConv(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.network = seeded(nn.Sequential(nn.Conv1d(3, 6, 1), nn.Tanh(), nn.Conv1d(6, 1, 1)))
+        self.network = seeded(nn.Sequential(nn.Conv1d(2, 6, 1), nn.Tanh(), nn.Conv1d(6, 1, 1)))
 
     def forward(self, points):
         return points.norm(dim=1, keepdim=True) - 0.5 + 0.1 * self.network(points)
@@ -361,7 +365,7 @@ class By(nn.Module):
 
     def __init__(self, function) -> None:
         super().__init__()
-        self.first, self.last, self.function = seeded(nn.Linear(3, 6)), seeded(nn.Linear(6, 1)), function
+        self.first, self.last, self.function = seeded(nn.Linear(2, 6)), seeded(nn.Linear(6, 1)), function
 
     def forward(self, points):
         h = self.last(self.function.apply(self.first(points))).squeeze(-1)
@@ -417,7 +421,7 @@ class Listed(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.a, self.b = nn.Parameter(torch.ones(3)), nn.Parameter(torch.tensor(0.5))
+        self.a, self.b = nn.Parameter(torch.ones(2)), nn.Parameter(torch.tensor(0.5))
         self.together, self.named = [self.a], {"b": self.b}
 
     def forward(self, points):
@@ -429,7 +433,7 @@ class Recurrent(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.cell, self.last = nn.GRU(3, 6, batch_first=True), nn.Linear(6, 1)
+        self.cell, self.last = nn.GRU(2, 6, batch_first=True), nn.Linear(6, 1)
         seeded(self)
 
     def forward(self, points):
@@ -442,8 +446,8 @@ class Merges(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.base, self.last = nn.Linear(3, 6), nn.Linear(6, 1)
-        self.down, self.up = nn.Parameter(torch.ones(2, 3)), nn.Parameter(torch.ones(6, 2))
+        self.base, self.last = nn.Linear(2, 6), nn.Linear(6, 1)
+        self.down, self.up = nn.Parameter(torch.ones(2, 2)), nn.Parameter(torch.ones(6, 2))
         seeded(self)
         self.merged = False
 
@@ -466,10 +470,10 @@ class Voxels(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.grid = nn.Parameter(torch.randn(1, 1, 5, 5, 5, generator=torch.Generator().manual_seed(2)) * 0.05)
+        self.grid = nn.Parameter(torch.randn(1, 1, 5, 5, generator=torch.Generator().manual_seed(2)) * 0.05)
 
     def forward(self, points):
-        at = F.grid_sample(self.grid, points[None, :, None, None], align_corners=True, padding_mode="border")
+        at = F.grid_sample(self.grid, points[None, :, None], align_corners=True, padding_mode="border")
         return points.norm(dim=-1) - 0.5 + at.reshape(-1)
 
 
@@ -479,7 +483,7 @@ class ComplexWaves(nn.Module):
         self.last = nn.Linear(8, 1)
         seeded(self)
         self.register_buffer(
-            "matrix", torch.randn(3, 8, dtype=torch.complex64, generator=torch.Generator().manual_seed(0))
+            "matrix", torch.randn(2, 8, dtype=torch.complex64, generator=torch.Generator().manual_seed(0))
         )
 
     def forward(self, points):
@@ -496,7 +500,7 @@ def with_hooks() -> nn.Module:
 
 
 def with_batch_norm(**options) -> nn.Module:
-    network = nn.Sequential(nn.Linear(3, 6), nn.BatchNorm1d(6, **options), nn.Tanh(), nn.Dropout(0.5), nn.Linear(6, 1))
+    network = nn.Sequential(nn.Linear(2, 6), nn.BatchNorm1d(6, **options), nn.Tanh(), nn.Dropout(0.5), nn.Linear(6, 1))
     seeded(network)
     if network[1].running_mean is not None:
         network[1].running_mean += 0.1
@@ -517,7 +521,7 @@ class Unused(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.ball = Ball(layers())
-        self.head = nn.Linear(3, 3)
+        self.head = nn.Linear(2, 2)
 
     def forward(self, points):
         return self.ball(points)
@@ -531,7 +535,7 @@ class Cut(nn.Module):
 
     def __init__(self, way: str) -> None:
         super().__init__()
-        self.first, self.last, self.way = nn.Linear(3, 8), nn.Linear(8, 1), way
+        self.first, self.last, self.way = nn.Linear(2, 8), nn.Linear(8, 1), way
         seeded(self, 1.0)
 
     def forward(self, points):
@@ -644,3 +648,120 @@ class Not(nn.Module):
         if self.way == "text":
             return "sdf"
         return f
+
+
+# Combinations: what may stand round any of the bodies
+
+
+class Around(nn.Module):
+    """A module between its points and its values, in one of many ways that are right."""
+
+    def __init__(self, ball: nn.Module, way: str) -> None:
+        super().__init__()
+        self.ball, self.way = ball, way
+        turn = torch.tensor([[0.8, -0.6], [0.6, 0.8]])
+        self.run = lambda points: ball(points)
+        if way == "turned by a plain tensor":
+            self.turn = turn  # in single precision, whatever the rest
+        if way == "stretched by a half-precision buffer":
+            self.register_buffer("stretch", torch.tensor([1.0, 1.25]).half())
+
+    def forward(self, points):
+        if self.way == "turned by a plain tensor":
+            return self.ball(points @ self.turn)
+        if self.way == "stretched by a half-precision buffer":
+            return self.ball(points * self.stretch.to(points.dtype))
+        if self.way == "closed over":
+            return self.run(points)
+        return torch.sigmoid(-8 * self.ball(points))
+
+
+class Cutting(nn.Module):
+    """A module between its points and its values, in one of many ways that no field can be made of."""
+
+    def __init__(self, ball: nn.Module, way: str) -> None:
+        super().__init__()
+        self.ball, self.way = ball, way
+
+    def forward(self, points):
+        if self.way == "detached points":
+            return self.ball(points.detach())
+        if self.way == "no_grad":
+            with torch.no_grad():
+                return self.ball(points)
+        if self.way == "inference mode":
+            with torch.inference_mode():
+                return self.ball(points)
+        if self.way == "numpy":
+            return torch.from_numpy(self.ball(points).detach().numpy())
+        f = self.ball(points)
+        ways = {
+            "hard": lambda: torch.sign(f),
+            "mean": lambda: f - 0.3 * f.mean(),
+            "order": lambda: f + 0.01 * torch.arange(len(points), dtype=f.dtype),
+            "noise": lambda: f + 0.01 * torch.randn(len(points), dtype=f.dtype),
+            "half": lambda: f.half(),
+            "tuple": lambda: (f, points),
+            "sum": lambda: f.sum(),
+            "nan": lambda: f * float("nan"),
+        }
+        return ways[self.way]()
+
+
+BODIES = {
+    "tanh": lambda: Ball(layers()),
+    "relu": lambda: Ball(layers(nn.ReLU)),
+    "older weight norm": lambda: each_linear(weight_norm),
+    "weight norm": lambda: each_linear(parametrizations.weight_norm),
+    "older spectral norm": lambda: each_linear(spectral_norm),
+    "pruned": pruned,
+    "registered twice": Twice,
+    "tied by memory": lambda: tied("memory"),
+    "skip": Skip,
+    "recurrent": Recurrent,
+    "voxels": Voxels,
+    "autograd.Function of the old style": lambda: By(OldSine),
+    "parameters in a list beside": Listed,
+    "batch norm and dropout in training": lambda: with_batch_norm(),
+}
+
+# Name: what stands round a body, the options of Field, and how the whole is called plainly at points (N, 2).
+AROUND = {
+    "batched": (lambda m: Form("batched", ball=m), {"inputs": "batched"}, lambda m, x: m(x[None])),
+    "columns": (lambda m: Form("columns", ball=m), {"inputs": "columns"}, lambda m, x: m(x.T)),
+    "a dictionary in": (
+        lambda m: Form("dictionary", ball=m), {"inputs": lambda x: {"coords": x}}, lambda m, x: m({"coords": x})
+    ),
+    "a tuple out": (lambda m: Form("", "tuple", m), {"output": 0}, lambda m, x: m(x)[0]),
+    "a dictionary out": (lambda m: Form("", "dictionary", m), {"output": "sdf"}, lambda m, x: m(x)["sdf"]),
+    "many values out": (lambda m: Form("", "many", m), {"output": 0}, lambda m, x: m(x)[:, 0]),
+    "a nest out": (lambda m: Form("", "nested", m), {"output": ("out", 1, 1)}, lambda m, x: m(x)["out"][1][:, 1]),
+    "data parallel": (nn.DataParallel, {}, lambda m, x: m(x)),
+    "compiled": (lambda m: torch.compile(m, backend="eager"), {}, lambda m, x: m._orig_mod(x)),
+    "turned by a plain tensor": (
+        lambda m: Around(m, "turned by a plain tensor"), {}, lambda m, x: m.ball(x @ m.turn.to(x))
+    ),
+    "stretched by a half-precision buffer": (
+        lambda m: Around(m, "stretched by a half-precision buffer"), {}, lambda m, x: m(x)
+    ),
+    "closed over": (lambda m: Around(m, "closed over"), {}, lambda m, x: m(x)),
+    "occupancy": (
+        lambda m: Around(m, "occupancy"), {"level": 0.5, "inside": "positive"}, lambda m, x: 0.5 - m(x)
+    ),
+}  # fmt: skip
+
+# Name: what the refusal of it says.
+CUTTING = {
+    "detached points": "cut off from them",
+    "no_grad": "cut off from them",
+    "inference mode": "cut off from them",
+    "numpy": "cut off from them",
+    "hard": "discontinuous",
+    "mean": "same value in whatever company",
+    "order": "same value in whatever company",
+    "noise": "same values each time",
+    "half": "float16, too coarse",
+    "tuple": "output=0",
+    "sum": "5 real values",
+    "nan": "finite values within its bounds",
+}

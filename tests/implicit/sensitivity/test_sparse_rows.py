@@ -54,6 +54,14 @@ def test_a_part_of_the_parameters_has_its_own_rows(patterns):
     torch.testing.assert_close(rows, parameter_gradient(field, points), rtol=1e-12, atol=1e-13)
 
 
+def test_a_grid_that_is_given_its_points_otherwise_has_the_rows_of_those():
+    """What the module says of its parameters is of the points as it takes them."""
+    field = Field(DenseGrid(resolution=6).double(), inputs=lambda points: 0.7 * points.flip(1))
+    points = points_in_box(20)
+    rows = torch.from_numpy(sparse_parameter_gradient(field, points).toarray())
+    torch.testing.assert_close(rows, parameter_gradient(field, points), rtol=1e-12, atol=1e-13)
+
+
 def test_a_grid_holds_few_entries_a_row():
     """27 nodes of a triquadratic cell, and no more, of 8000."""
     field, points = Field(DenseGrid(resolution=20).double()), points_in_box(40)
