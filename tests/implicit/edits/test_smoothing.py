@@ -1,12 +1,16 @@
 """Mean-curvature flow against its exact laws, and what it keeps."""
 
 import math
+import os
 
 import pytest
 import torch
 
-from implicit import Area, HalfSpace, Until, Volume, shapes, smooth, surface_quadrature
+from implicit import Area, HalfSpace, Holding, Until, Volume, shapes, smooth, surface_quadrature
 from implicit.evolve.edit import EditStatus
+
+FULL = os.environ.get("IMPLICIT_VS_MESH_NIGHTLY") == "full"
+BALL = {"points": 40, "directions": None, "resolution": 16}  # all of its points say the same of its radius
 
 
 @pytest.mark.parametrize(("dimension", "rate"), [(3, 4.0), (2, 2.0)])
@@ -17,7 +21,7 @@ def test_a_sphere_shrinks_by_its_law(dimension, rate):
     exact = math.sqrt(0.25 - rate * time)
     errors = []
     for steps in (8, 16):
-        edit = smooth(field, steps=steps, step_size=time / steps, method="explicit", points=200, damping=0.0)
+        edit = smooth(field, steps=steps, step_size=time / steps, method="explicit", damping=0.0, **BALL)
         assert edit.status is EditStatus.DONE
         errors.append(abs(float(edit.field.theta[0]) - exact))
     assert errors[1] < 1e-4
@@ -26,11 +30,10 @@ def test_a_sphere_shrinks_by_its_law(dimension, rate):
 
 @pytest.mark.parametrize("dimension", [3, 2])
 def test_a_sphere_keeps_its_law_down_to_half_its_radius(dimension):
-    """To a thousandth of the radius left, in explicit steps of which each takes 2 % of the way."""
+    """To a thousandth of the radius left, in explicit steps of which each takes 4 % of the way."""
     field = shapes.sphere(radius=0.5) if dimension == 3 else shapes.circle(0.5)
-    time, steps = (0.5**2 - 0.25**2) / (2 * (dimension - 1)), 50
-    options = {"steps": steps, "step_size": time / steps, "method": "explicit", "points": 40, "directions": None}
-    edit = smooth(field, resolution=16, until=Until(time=time), **options)
+    time, steps = (0.5**2 - 0.25**2) / (2 * (dimension - 1)), 25
+    edit = smooth(field, steps=steps, step_size=time / steps, method="explicit", until=Until(time=time), **BALL)
     assert edit.status is EditStatus.DONE
     assert float(edit.field.theta[0]) == pytest.approx(0.25, rel=1e-3)
     assert all(row["components"] == 1 for row in edit.history)
@@ -60,15 +63,16 @@ def test_a_flow_stops_when_it_has_what_it_was_run_for(until, name):
 
 def test_volume_is_kept_and_area_falls(wobbly):
     """With the volume held, d area / dt = -int (kappa - mean)^2; implicit steps this long take half or more."""
-    sample = surface_quadrature(wobbly, 64)
+    sample = surface_quadrature(wobbly, 48)
     volume, area = Volume().value(wobbly, sample), Area().value(wobbly, sample)
-    edit = smooth(wobbly, steps=3, step_size=1e-3, points=800, constraints=(Volume(),))
-    after = surface_quadrature(edit.field, 64)
+    options = {"points": 300, "resolution": 16, "holding": Holding(resolution=16, fine_resolution=40)}
+    edit = smooth(wobbly, steps=2, step_size=1e-3, constraints=(Volume(),), **options)
+    after = surface_quadrature(edit.field, 48)
     assert edit.status is EditStatus.DONE
     assert Volume().value(edit.field, after) == pytest.approx(volume, rel=1e-5)
     kappa = wobbly.mean_curvature(sample.points)
     rate = sample.integrate(kappa**2) - sample.integrate(kappa) ** 2 / area
-    assert 0.5 < (area - Area().value(edit.field, after)) / (3 * 1e-3 * rate) < 1
+    assert 0.5 < (area - Area().value(edit.field, after)) / (2 * 1e-3 * rate) < 1
     assert all(row["constraint_gap"] < 1e-7 for row in edit.history)
 
 
@@ -77,14 +81,15 @@ def test_area_falls_at_the_rate_of_the_squared_curvature(wobbly):
     sample = surface_quadrature(wobbly, 48)
     rate = sample.integrate(wobbly.mean_curvature(sample.points) ** 2)
     step = 2e-5
-    edit = smooth(wobbly, steps=1, step_size=step, method="explicit", points=3000, damping=1e-9)
+    edit = smooth(wobbly, steps=1, step_size=step, method="explicit", points=2000, damping=1e-9, resolution=24)
     fall = float(sample.weights.sum() - surface_quadrature(edit.field, 48).weights.sum()) / step
     assert fall == pytest.approx(rate, rel=0.05)
 
 
 def test_the_implicit_step_goes_where_the_explicit_one_does_in_small_steps(wobbly):
-    fine = smooth(wobbly, steps=10, step_size=2e-4, method="explicit", points=800)
-    coarse = smooth(wobbly, steps=2, step_size=1e-3, method="implicit", points=800)
+    options = {"points": 300, "directions": 100, "resolution": 24}
+    fine = smooth(wobbly, steps=10, step_size=2e-4, method="explicit", **options)
+    coarse = smooth(wobbly, steps=2, step_size=1e-3, method="implicit", **options)
     areas = [float(surface_quadrature(edit.field, 32).weights.sum()) for edit in (fine, coarse)]
     before = float(surface_quadrature(wobbly, 32).weights.sum())
     assert before - areas[1] == pytest.approx(before - areas[0], rel=0.2)
@@ -104,17 +109,18 @@ def test_bad_input_is_refused(options, message):
 
 
 def test_a_sphere_that_vanishes_ends_with_a_status():
-    edit = smooth(shapes.sphere(radius=0.3), steps=200, step_size=2e-3, method="explicit", points=100)
+    edit = smooth(shapes.sphere(radius=0.3), steps=200, step_size=2e-3, method="explicit", **BALL)
     # R^2 = 0.09 - 4 t is spent after 11.25 steps of 2e-3; the last ones are cut short by the damping.
     assert edit.status is EditStatus.SURFACE_LOST
     assert 8 <= len(edit.history) <= 16
     assert torch.isfinite(edit.field.theta).all()
 
 
-@pytest.mark.parametrize("name", ["spot", "cactus", "bracket"])
+@pytest.mark.parametrize("name", ["cactus", *(["spot", "bracket"] if FULL else [])])
 def test_coarse_settings_hold_the_volume_of_real_shapes(name):
     """A long step, few points, a coarse quadrature: the restoration must still converge."""
     field = shapes.bundled(name).to(torch.float64)
-    edit = smooth(field, steps=2, step_size=1e-3, points=1000, resolution=32, constraints=(Volume(),))
+    options = {"points": 600, "resolution": 24, "holding": Holding(resolution=24, fine_resolution=32)}
+    edit = smooth(field, steps=2, step_size=1e-3, constraints=(Volume(),), **options)
     assert edit.status is EditStatus.DONE
     assert max(row["constraint_gap"] for row in edit.history) < 1e-8
