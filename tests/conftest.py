@@ -2,8 +2,8 @@
 
 xdist hands files out in the order in which they stand, so the order is that of the processor seconds they took when
 `pytest --measure` wrote them down in slow_tests.json: a long file that came last would leave the other processes idle.
-Tests of more than SLOW seconds bear the marker of that name: `pytest` leaves them out, `pytest -m slow` runs them alone,
-and `pytest -m ""` all.
+Tests of more than SLOW seconds bear the marker of that name: `pytest` leaves them out, `pytest -m slow` runs them
+alone, and `pytest -m ""` all.
 """
 
 import json

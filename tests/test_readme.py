@@ -1,8 +1,8 @@
 """The README is true: its snippets run, its commands run, its set-up lines are those of the continuous integration.
 
 Commands run in an empty folder, on fewer operations, shapes, figures and steps than they name; with
-IMPLICIT_VS_MESH_README=full all run as they are written, as a nightly job wants. What sets up an environment or runs these very tests is not run from
-here; .ci/run does it, and must say the same words.
+IMPLICIT_VS_MESH_README=full all run as they are written, as a nightly job wants. What sets up an environment or runs
+these very tests is not run from here; .ci/run does it, and must say the same words.
 """
 
 import os
