@@ -711,7 +711,9 @@ def page(rows: list[dict[str, Any]]) -> str:
             "; ".join(_losses(row)) or "nothing",
         ]
         lines.append("| " + " | ".join(cells) + " |")
-    return PROSE + "\n".join(lines) + "\n"
+    missing = [name for name in ARCHITECTURES if name not in {row["name"] for row in rows}]
+    rest = f"\nStill to be measured at this size: {', '.join(missing)}.\n" if missing else ""
+    return PROSE + "\n".join(lines) + "\n" + rest
 
 
 PROSE = """# Which network, which operations, at which cost
