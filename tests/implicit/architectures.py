@@ -711,16 +711,18 @@ def page(rows: list[dict[str, Any]]) -> str:
             "; ".join(_losses(row)) or "nothing",
         ]
         lines.append("| " + " | ".join(cells) + " |")
-    return PROSE + "\n".join(lines) + "\n"
+    missing = [name for name in ARCHITECTURES if name not in {row["name"] for row in rows}]
+    rest = f"\nStill to be measured at this size: {', '.join(missing)}.\n" if missing else ""
+    return PROSE + "\n".join(lines) + "\n" + rest
 
 
 PROSE = """# Which network, which operations, at which cost
 
-Each row is a network that people bring, fitted to the distances of a body (a capsule) and taken through every operation.
-`python tests/implicit/architectures.py --write` measures the rows again and makes this page. The same table at sizes that
-take a second is a test: [test_architectures.py](../tests/implicit/test_architectures.py). Seconds are processor seconds
-of one thread, on a machine that others used at the same time: they compare rows, and are up to twice what a machine of
-one's own takes. Edits are of 1000 points, meshes of 32 cells, networks in float32.
+Each row is a network that people bring, fitted to the distances of a body (a capsule) and taken through every
+operation. `python tests/implicit/architectures.py --write` measures the rows again and makes this page. The same table
+at sizes that take a second is a test: [test_architectures.py](../tests/implicit/test_architectures.py). Seconds are
+processor seconds of one thread, on a machine that others used at the same time: they compare rows, and are up to twice
+what a machine of one's own takes. Edits are of 1000 points, meshes of 32 cells, networks in float32.
 
 - *rows*: how rows of the basis are found. A closed form comes from the layers in the module's graph, sparse rows from
   the few parameters that act near a point; else torch vectorises over points (vmap), or goes point by point.
