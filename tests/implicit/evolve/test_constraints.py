@@ -3,7 +3,18 @@
 import pytest
 import torch
 
-from implicit import Area, Field, Holding, Siren, SurfaceIntegral, Volume, VolumeIntegral, shapes, smooth, surface_quadrature
+from implicit import (
+    Area,
+    Field,
+    Holding,
+    Siren,
+    SurfaceIntegral,
+    Volume,
+    VolumeIntegral,
+    shapes,
+    smooth,
+    surface_quadrature,
+)
 from implicit.evolve.constraints import (
     ConstraintSet,
     HardRows,
