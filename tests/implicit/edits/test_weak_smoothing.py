@@ -1,17 +1,21 @@
 """Flows in weak form, of fields whose second derivatives tell nothing: exact laws, meshes, and words where it fails."""
 
 import math
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from scipy.sparse import diags
+from scipy.sparse.linalg import spsolve
 
 from implicit import Bending, Field, Holding, Offset, Volume, extract_mesh, shapes, smooth, surface_quadrature
 from implicit.edits.smoothing import explicit_step_limit
 from implicit.evolve.edit import EditStatus
 from implicit.sensitivity.weak_curvature import WeakSurface
 
+FULL = os.environ.get("IMPLICIT_VS_MESH_NIGHTLY") == "full"
 FIELDS = Path(__file__).resolve().parents[4] / "shared" / "data" / "fields"
 
 COARSE = {"points": 100, "resolution": 20}
@@ -64,7 +68,7 @@ def test_weak_and_pointwise_flows_of_a_smooth_field_agree_with_second_order():
                 steps=1,
                 step_size=2e-3,
                 curvature=form,
-                points=2000,
+                points=500,
                 directions=None,
                 resolution=resolution,
                 damping=0.0,
@@ -113,7 +117,7 @@ def test_a_trained_relu_torus_loses_area_as_its_mesh_does(relu_torus):
     resolution, steps = 24, 3
     step = 1e-3 * float(surface_quadrature(relu_torus, resolution).weights.sum())
     held = Holding(resolution=resolution, fine_resolution=resolution)
-    edit = smooth(relu_torus, steps=steps, step_size=step, constraints=(Volume(),), holding=held, points=200)
+    edit = smooth(relu_torus, steps=steps, step_size=step, constraints=(Volume(),), holding=held, **COARSE)
     assert edit.status is EditStatus.DONE
     begin, end, mesh = areas_of(relu_torus, edit.field, resolution, step, steps)
     assert end == pytest.approx(mesh, rel=0.05)
@@ -126,8 +130,8 @@ def areas_of(field, edited, resolution, step, steps):
     begin = surface.contents.sum()
     volume = volume_of(surface)
     for _ in range(steps):
-        matrix = np.diag(surface.masses) + step * surface.laplacian.toarray()
-        moved = np.linalg.solve(matrix, surface.masses[:, None] * surface.vertices)
+        matrix = (diags(surface.masses) + step * surface.laplacian).tocsc()
+        moved = spsolve(matrix, surface.masses[:, None] * surface.vertices)
         surface = WeakSurface(moved, surface.faces)
         for _ in range(4):
             slope = surface.contents.sum()
@@ -144,11 +148,11 @@ def volume_of(surface):
 
 @pytest.mark.skipif(not FIELDS.is_dir(), reason="the fields of ../shared/data are not here")
 def test_a_relu_network_trained_elsewhere_loses_area_as_its_mesh_does():
-    """fox, 7 x 32: ten steps with the volume held, within 5 % of the flow of its mesh.
+    """fox, 7 x 32: three steps with the volume held, or ten if all is asked for, within 5 % of the flow of its mesh.
 
     48 cells resolve its thin parts; at 32 their area comes and goes with the cells, and the edit says NOT_FOLLOWED.
     """
-    field, resolution, steps = fox(), 48, 10
+    field, resolution, steps = fox(), 48, 10 if FULL else 3
     step = 1e-4 * float(surface_quadrature(field, resolution).weights.sum())
     held = Holding(resolution=resolution, fine_resolution=resolution)
     edit = smooth(field, steps=steps, step_size=step, constraints=(Volume(),), holding=held)
