@@ -88,7 +88,7 @@ def test_parameters_of_a_lamp_are_lengths_of_its_mesh():
 def test_the_nearest_member_of_a_member_is_itself_from_far_away(family):
     theta, start = family.draw(8)[[2, 5]]
     V, _ = implicit.extract_mesh(family.field(theta), 48)
-    found, away = family.nearest(lambda x: family.distance(theta, x) < 0, torch.from_numpy(V), start)
+    found, away = family.nearest(lambda x: family.distance(theta, x) < 0, torch.from_numpy(V[::4]), start)
     torch.testing.assert_close(found, theta, atol=1e-6, rtol=0)
     assert away < 1e-6
 
@@ -120,9 +120,9 @@ def test_a_table_of_another_family_is_refused():
 
 @pytest.mark.parametrize("name", families.BUNDLED)
 def test_bundled_models_rebuild_shapes_that_they_were_not_trained_on(name):
-    """Their own score, on fewer shapes; the bar is 0.95, and 0.9 for IM-NET."""
+    """Their own score, on one shape; the bar is 0.95, and 0.9 for IM-NET."""
     model = families.bundled(name)
-    scores = families.reconstruction_scores(model, model.family.draw(2, seed=77), resolution=48)
+    scores = families.reconstruction_scores(model, model.family.draw(1, seed=77), resolution=32)
     bar = 0.9 if name.startswith("imnet") else 0.95
     assert float(scores.mean()) >= bar
     assert model.report["validation"]["mean_iou"] >= bar
