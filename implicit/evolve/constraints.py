@@ -324,7 +324,7 @@ class ConstraintSet:
         return [g if s == 0 or g * s > 0 else 0.0 for g, s in zip(gaps, self._signs, strict=True)]
 
     def _sensitivities(self, field: Field, space: DeformationSpace, measured: Measurement) -> Float[Tensor, "m n"]:
-        steering = subsample(field, measured.sample, STEERING_POINTS)
+        steering = _steering(field, measured.sample)
         lengths = field.gradient_length(field.gradient(steering.points))
         C = field.theta.new_zeros(len(self.functionals), space.size)
         for k, constraint in enumerate(self.functionals):
@@ -393,3 +393,13 @@ def _names(functionals: Sequence[Functional], columns: Sequence[str]) -> tuple[s
                 "Give its class another name, or a `name` of its own."
             )
     return tuple(names)
+
+
+def _steering(field: Field, sample: SurfaceSample) -> SurfaceSample:
+    """Return the points of a quadrature at which sensitivities are taken: all of a coarse one, a part of a fine one.
+
+    A fresh sample instead would cost another extraction, finer than a coarse quadrature's own.
+    """
+    if len(sample) <= 2 * STEERING_POINTS:
+        return sample
+    return subsample(field, sample, min(STEERING_POINTS, len(sample) // 4))
