@@ -1,6 +1,6 @@
 """The volume inside a closed mesh, by the divergence theorem, and its derivative by each vertex.
 
-    V = sum over faces  x_1 . (x_2 x x_3) / 6,      dV/dx_1 = sum over faces at the vertex  (x_2 x x_3) / 6
+V = sum over faces  x_1 . (x_2 x x_3) / 6,      dV/dx_1 = sum over faces at the vertex  (x_2 x x_3) / 6
 """
 
 from __future__ import annotations
