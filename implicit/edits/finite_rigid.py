@@ -33,7 +33,7 @@ from implicit.fitting.training import FitStatus, Schedule
 from implicit.sensitivity.moved_as_a_whole import moved_as_a_whole
 from implicit.sensitivity.shape_functionals import Functional, Volume
 from implicit.sensitivity.weak_curvature import FloatArray, WeakSurface
-from implicit.step.enclosed_volume import enclosed_volume
+from implicit.step.enclosed_volume import EnclosedVolume
 from implicit.step.local_global import Hold, LocalGlobal, Minimum, MinimumStatus
 from implicit.step.problem import Row
 from implicit.step.spokes_and_rims import SpokesAndRims
@@ -164,7 +164,7 @@ def _points(problem: FiniteProblem, surface: WeakSurface, tell: _Teller) -> Mini
     if held is None or bound == "equal":
         return minimum(held)
     free = minimum(None)
-    reached = enclosed_volume(free.positions, surface.faces)
+    reached = solver.volume.value(free.positions)
     broken = reached < held if bound == "at least" else reached > held
     return minimum(held) if broken else free
 
@@ -173,7 +173,7 @@ def _volume(problem: FiniteProblem, surface: WeakSurface) -> tuple[float | None,
     """Return the volume that the mesh is to hold, and on which side; of other functionals the end takes care."""
     for functional in problem.constraints:
         if type(functional) is Volume:
-            own = enclosed_volume(surface.vertices, surface.faces)
+            own = EnclosedVolume(surface.faces, len(surface.vertices)).value(surface.vertices)
             if functional.target is None:
                 return own, functional.bound
             # The mesh lies within its surface: what it encloses is in proportion.

@@ -24,7 +24,7 @@ from scipy.sparse import csgraph
 from scipy.sparse.linalg import splu
 
 from implicit.sensitivity.weak_curvature import FloatArray
-from implicit.step.enclosed_volume import enclosed_volume, volume_gradient
+from implicit.step.enclosed_volume import EnclosedVolume
 from implicit.step.rotations import best_rotations
 from implicit.step.spokes_and_rims import SpokesAndRims
 
@@ -32,10 +32,6 @@ WINDOW = 6
 
 # To which the rotations are found in an iteration, in radians; the end has them to rounding.
 ANGLE = 1e-6
-
-# Newton steps to a volume, and how near they come.
-VOLUME_STEPS = 8
-VOLUME_TOLERANCE = 1e-13  # relative to the volume
 
 # Iterations at each stage of the path but the last.
 STAGE_ITERATIONS = 10
@@ -99,6 +95,7 @@ class LocalGlobal:
 
     def __init__(self, energy: SpokesAndRims, hold: Hold) -> None:
         self._energy = energy
+        self.volume = EnclosedVolume(energy.faces, len(energy.vertices))
         self._size = float(np.ptp(energy.vertices, axis=0).max())
         asked = hold.held | (hold.pulls > 0)
         _, piece = csgraph.connected_components(energy.laplacian != 0, directed=False)
@@ -146,7 +143,7 @@ class LocalGlobal:
             done += run.taken
         run = _Run(self, places(1.0), volume, tolerance)
         end = run.take(u, iterations, done, report)
-        gap = 0.0 if volume is None else abs(enclosed_volume(end.u, self._energy.faces) / volume - 1)
+        gap = 0.0 if volume is None else abs(self.volume.value(end.u) / volume - 1)
         energy = self._energy.energy(end.u, end.rotations)
         return Minimum(end.u, end.rotations, energy, done + run.taken, end.move, gap, end.status)
 
@@ -167,6 +164,7 @@ class _Run:
         rest = solver._energy.vertices
         self._fixed = np.where(solver.untouched[:, None], rest, places)[solver._held]
         self.taken = 0
+        self._way: FloatArray | None = None  # along which the volume was last met
 
     def take(self, start: FloatArray, iterations: int, before: int, report: Report | None) -> _End:
         """Return where the iteration ends."""
@@ -203,6 +201,8 @@ class _Run:
             mixed = mixer.mixed(u[free].ravel(), moved[free].ravel())
             u = moved.copy()
             u[free] = mixed.reshape(-1, 3)
+            if self._way is not None and self._volume is not None:
+                u = solver.volume.reached(u, self._way, self._volume)
         else:
             u = plain
         return _End(u, energy.rotations(u, rotations), move, status)
@@ -222,21 +222,19 @@ class _Run:
         wanted = solver._energy.right_hand_side(rotations) + solver._pulls[:, None] * self._places
         moved = u.copy()
         moved[solver._free] = solver._factor.solve(wanted[solver._free] - solver._to_held @ self._fixed)
-        return moved if self._volume is None else self._at_volume(moved)
+        return moved if self._volume is None else self._at_volume(moved, u)
 
-    def _at_volume(self, u: FloatArray) -> FloatArray:
-        """Return the positions moved along L^-1 dV/du to the volume to hold."""
-        solver, faces = self._solver, self._solver._energy.faces
+    def _at_volume(self, u: FloatArray, before: FloatArray) -> FloatArray:
+        """Return the positions moved to the volume to hold, along L^-1 dV/du of the iterate before.
+
+        Where the iteration comes to rest both are the same, and the multiplier of dV/du that of the minimum.
+        """
+        solver = self._solver
         assert solver._factor is not None
         assert self._volume is not None
-        way = np.zeros_like(u)
-        way[solver._free] = solver._factor.solve(volume_gradient(u, faces)[solver._free])
-        for _ in range(VOLUME_STEPS):
-            gap = self._volume - enclosed_volume(u, faces)
-            if abs(gap) <= VOLUME_TOLERANCE * abs(self._volume):
-                break
-            u = u + gap / np.einsum("ni,ni->", way, volume_gradient(u, faces)) * way
-        return u
+        self._way = np.zeros_like(u)
+        self._way[solver._free] = solver._factor.solve(solver.volume.gradient(before)[solver._free])
+        return solver.volume.reached(u, self._way, self._volume)
 
 
 class _Mixer:
