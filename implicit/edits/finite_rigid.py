@@ -1,8 +1,10 @@
 """Rigid edits of any size: the energy of finite rotations is minimised on points, and the field then follows them.
 
     points    spokes and rims of a mesh of the field's own surface, against the rest shape (implicit.step.local_global)
-    field     trained on samples of the map that the points give (implicit.fitting.follow), from the best rigid placement
-    end       where functionals are held, steps of boundary sensitivity restore them (implicit.edits.towards_points)
+    field     trained on samples of the map that the points give, from the best rigid placement
+              (implicit.fitting.follow)
+    end       steps of boundary sensitivity in the metric of that energy, functionals restored
+              (implicit.edits.towards_points)
 
 Nothing is linear in the motion and nothing adds up over steps, so that a bend of 90 degrees, or a twist, ends where one
 small solve after another would not: these forget what the earlier ones have strained.
@@ -27,9 +29,9 @@ from implicit.evolve.constraints import ConstraintSet, Holding
 from implicit.evolve.edit import Edit, EditStatus, Progress, edit_status, reached_target, with_evidence
 from implicit.evolve.evolve import Loop
 from implicit.evolve.trial import StepRefused
-from implicit.field.field import Field
-from implicit.fitting.follow import FOLLOWED, RATES, Following, follow_map
-from implicit.fitting.training import FitStatus, Schedule
+from implicit.field.field import Field, SurfaceError
+from implicit.fitting.follow import FOLLOWED, Follower, Following
+from implicit.fitting.training import FitStatus
 from implicit.sensitivity.moved_as_a_whole import moved_as_a_whole
 from implicit.sensitivity.shape_functionals import Functional, Volume
 from implicit.sensitivity.weak_curvature import FloatArray, WeakSurface
@@ -42,6 +44,7 @@ from implicit.surface.even_mesh import even_mesh
 from implicit.surface.projection import newton_to_surface
 from implicit.surface.quadrature import SurfaceSample
 from implicit.surface.soundness import Soundness
+from implicit.surface.topology import Topology, surface_topology
 
 # Vertices of the mesh that carries the energy, unless more points are asked for. Spokes and rims bend the more easily
 # the finer the mesh.
@@ -57,12 +60,14 @@ LOOKS = 64
 # Energy of the displacement's strain over that of spokes and rims, for small motions.
 KILLING_SHARE = 0.75
 
-# Steps of the optimiser by which the field follows.
-FOLLOW_STEPS = 500
+# Steps of the optimiser in each round by which the field follows: a further one is taken where the surface is not that
+# near to the points (root mean square over the size), or has other pieces. What it learns from.
+ROUNDS = (150, 300, 600, 1200)
+NEAR = 5e-4
+SAMPLES, BATCH = 20_000, 2048
 
-# Steps of boundary sensitivity at the end, where a functional is held, and their damping.
-LAST_STEPS = 2
-LAST_DAMPING = 1e-7
+# Most steps of boundary sensitivity at the end.
+LAST_STEPS = 3
 
 # Least distance of the moved surface from the bounds, over the field's size.
 MARGIN = 0.01
@@ -129,10 +134,10 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
             own.append("The surface would leave the bounds of the field. Widen the bounds, or move the handles less.")
         edit = replace(_untouched(problem, ended, began), notes=(*notes, *own))
         return with_evidence(edit, before, problem.resolution)
-    edited, following = _followed(problem, surface_map, tell)
+    edited, following = _followed(problem, surface_map, before.topology, tell)
     own += _following_notes(problem.field, following)
     row = _row(problem, edited, surface_map, minimum, following, seconds_points)
-    end = _restored(problem, edited, surface_map, row)
+    end = _polished(problem, edited, surface_map, before.topology, row)
     edit = _edit(problem, surface_map, end, began)
     reached = reached_target(edit) and following.miss_rms <= FOLLOWED * problem.field.size
     reached = reached and following.status is not FitStatus.DIVERGED
@@ -217,21 +222,34 @@ def _stays_inside(field: Field, positions: FloatArray) -> bool:
     return bool(((positions > lower + margin) & (positions < upper - margin)).all())
 
 
-def _followed(problem: FiniteProblem, surface_map: SurfaceMap, tell: _Teller) -> tuple[Field, Following]:
-    """Return the field in float64 on the moved surface."""
-    single = problem.precise.to(torch.float32)
-    found, following = follow_map(
-        single,
+def _followed(
+    problem: FiniteProblem, surface_map: SurfaceMap, rest: Topology, tell: _Teller
+) -> tuple[Field, Following]:
+    """Return the field in float64 on the moved surface, trained until it is there in as many pieces as before."""
+    follower = Follower(
+        problem.precise.to(torch.float32),
         surface_map,
         values="auto",
         start=_start(problem, surface_map).to(torch.float32),
-        samples=40_000,
-        schedule=Schedule(FOLLOW_STEPS, *RATES),
-        batch=2048,
+        samples=SAMPLES,
+        batch=BATCH,
         seed=problem.seed,
-        progress=tell.field,
     )
+    for number, steps in enumerate(ROUNDS):
+        tell.round(number)
+        found, following = follower.train(steps, tell.field)
+        near = following.miss_rms <= NEAR * found.size
+        if following.status is FitStatus.DIVERGED or (near and _has_type(found, rest, problem.resolution)):
+            break
     return problem.precise.with_theta(found.theta.double()), following
+
+
+def _has_type(field: Field, wanted: Topology, resolution: int) -> bool:
+    """Return whether a field's surface can be meshed, into as many pieces with as many handles."""
+    try:
+        return surface_topology(field, resolution).same_type(wanted)
+    except SurfaceError:
+        return False
 
 
 def _start(problem: FiniteProblem, surface_map: SurfaceMap) -> Field:
@@ -255,29 +273,37 @@ class _End:
     status: EditStatus
 
 
-def _restored(problem: FiniteProblem, field: Field, surface_map: SurfaceMap, row: Row) -> _End:
-    """Return the field with the functionals at their targets, and the surface nearer to where it is to be."""
-    if not problem.constraints:
-        return _End(field, [row], EditStatus.DONE)
+def _polished(problem: FiniteProblem, field: Field, surface_map: SurfaceMap, rest: Topology, row: Row) -> _End:
+    """Return the field nearer to the least energy, with the functionals at their targets."""
     held = ConstraintSet.of(problem.precise, problem.constraints, Holding(resolution=problem.resolution), tuple(row))
-    goals = _mapped(surface_map, problem.sample.points)
-    points, arrived = newton_to_surface(field, goals, reach=field.size / 20)
-    kept = arrived
-    sample = SurfaceSample(points[kept], field.normal(points[kept]), problem.sample.weights[kept])
-    operation = TowardsPoints(goals[kept], sample.weights, LAST_DAMPING, problem.seed)
+    goals = torch.from_numpy(surface_map.moved).to(field.theta)
+    masses = torch.from_numpy(surface_map.rest.masses).to(field.theta)
+    energy = SpokesAndRims(surface_map.rest.vertices, surface_map.rest.faces)
+    operation = TowardsPoints(goals, masses, energy.laplacian, problem.seed)
     loop = Loop(operation, held, changing=False)
-    try:
-        state = loop.start(field, sample, None)
-        rows = []
-        for _ in range(LAST_STEPS):
+    left = operation.left(field)
+    state = loop.start(field, SurfaceSample(left.points, left.normals, masses), None)
+    rows: list[Row] = []
+    ended = EditStatus.DONE
+    sound = _has_type(field, rest, problem.resolution)
+    for number in range(LAST_STEPS):
+        try:
             step = loop.step(state)
-            state = step.state
-            rows.append({**step.row, "step": step.row["step"] + 1})
+        except StepRefused as refusal:
+            ended = refusal.status if problem.constraints else ended
+            break
+        after = operation.left(step.state.field)
+        # What mends the pieces may cost energy, but what breaks them is not taken, nor what only costs energy.
+        whole = _has_type(step.state.field, rest, problem.resolution)
+        worse = (sound and not whole) or (sound == whole and after.energy() >= left.energy())
+        if worse and (rows or not problem.constraints):
+            break
+        state, left, sound = step.state, after, whole
+        rows.append({**step.row, "step": number + 2})
+    if rows and problem.constraints:
         state, rows[-1] = loop.polished(state, rows[-1])
-    except StepRefused as refusal:
-        return _End(field, [row], refusal.status)
-    measured = held.values(held.measure(field))
-    return _End(state.field, [{**row, **measured}, *rows], EditStatus.DONE)
+        row = {**row, **held.values(held.measure(field))}
+    return _End(state.field, [row, *rows], ended)
 
 
 def _edit(problem: FiniteProblem, surface_map: SurfaceMap, end: _End, began: float) -> Edit:
@@ -372,8 +398,8 @@ def _row(
 
 def _minimum_note(minimum: Minimum) -> str:
     return (
-        f"The points had not come to rest: {minimum.status.value} The last of {minimum.iterations} iterations moved one "
-        f"by {minimum.largest_move:.2g} of the size. Move the handles less, or in several edits."
+        f"The points had not come to rest: {minimum.status.value} The last of {minimum.iterations} iterations moved "
+        f"one by {minimum.largest_move:.2g} of the size. Move the handles less, or in several edits."
     )
 
 
@@ -399,6 +425,11 @@ class _Teller:
     def __init__(self, progress: Progress | None) -> None:
         self._progress = progress
         self._last = 0
+        self._round = 0
+
+    def round(self, number: int) -> None:
+        """Begin a round of the optimiser."""
+        self._round = number
 
     def points(self, iteration: int, energy: float, move: float) -> None:
         """Tell of an iteration of the points; how many there will be is not known."""
@@ -407,7 +438,8 @@ class _Teller:
 
     def field(self, step: int, steps: int, loss: float) -> None:
         """Tell of a step of the optimiser."""
-        self._tell(20 + round(80 * step / steps), {"phase": "field", "iteration": step, "loss": loss})
+        done = 1 - 0.5**self._round * (1 - 0.5 * step / steps)
+        self._tell(20 + round(75 * done), {"phase": "field", "iteration": step, "loss": loss})
 
     def _tell(self, done: int, row: Row) -> None:
         if self._progress is not None and done > self._last:

@@ -1,8 +1,10 @@
-"""Steps of boundary sensitivity that take a surface the last of the way to given points, its functionals held.
+"""Steps of boundary sensitivity that take a surface the last of the way to the positions of least energy.
 
-A field that has followed a large deformation is off by its fit, and so are the functionals to hold. Each step moves
-the surface along its normals to the points' goals [paper, eq. 4, 5], and then restores the functionals (see
-implicit.evolve.evolve), so that both end as near as those of other edits.
+A field that has followed a large deformation is off by its fit, and so are the functionals to hold. Each step moves the
+surface along its normals to where the vertices are to be [paper, eq. 4, 5], in the metric of their energy
+(implicit.step.rigidity_target), and then restores the functionals (see implicit.evolve.evolve), so that these end as
+near as those of other edits. With more parameters than MOST the gaps count by area instead, for the least squares then
+knows only targets along the normal.
 """
 
 from __future__ import annotations
@@ -11,38 +13,50 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
+import torch
 from jaxtyping import Float
+from scipy import sparse
 from torch import Tensor
 
 from implicit.evolve.edit import EditStatus
 from implicit.evolve.operation import Outcome, State, Taken
 from implicit.field.field import Field
 from implicit.step.deformation import DeformationSpace
-from implicit.step.energies import NormalTarget
+from implicit.step.energies import Energy, NormalTarget
 from implicit.step.off_surface import off_surface
 from implicit.step.problem import DampingRule, Row, StepProblem
+from implicit.step.rigidity_target import RigidityTarget
+from implicit.surface.projection import newton_to_surface
 from implicit.surface.quadrature import SurfaceSample
 
-# Of the energy off the surface beside that on it, as for geometric edits.
-OFF_SURFACE_STRENGTH = 1e-2
+# Of the energy off the surface beside that on it.
+OFF_SURFACE_STRENGTH = 0.1
+OFF_SURFACE_POINTS = 1000
+
+# Damping of the first step, and the least of later ones, relative to the trace of the normal matrix. A step may miss
+# its prediction by so many times its motion: what decides is whether the energy falls.
+FIRST_DAMPING, LEAST_DAMPING, ALLOWED = 1e-6, 3e-8, 3.0
+
+# Parameters up to which the metric of the energy is taken: its equations are a matrix.
+MOST = 4000
 
 
 @dataclass(frozen=True, eq=False)
 class TowardsPoints:
-    """The operation that takes points of the surface along its normals to their goals.
+    """The operation that takes the vertices of a mesh of the surface along its normals to their goals.
 
     Attributes:
-        goals: Where the starting points are to be (I, D).
-        weights: Area that each stands for (I,).
-        damping: Least damping of a step, relative to the trace of its normal matrix.
+        goals: Where the starting points are to be (V, D).
+        weights: Area that each stands for (V,).
+        laplacian: L of the energy whose minimum the goals are (V, V).
         seed: Of the random points off the surface.
     """
 
-    columns: ClassVar[tuple[str, ...]] = ()
+    columns: ClassVar[tuple[str, ...]] = ("strain_left",)
 
-    goals: Float[Tensor, "i d"]
-    weights: Float[Tensor, " i"]
-    damping: float
+    goals: Float[Tensor, "v d"]
+    weights: Float[Tensor, " v"]
+    laplacian: sparse.csc_array
     seed: int
 
     def start(self, field: Field, points: Tensor) -> None:
@@ -54,13 +68,30 @@ class TowardsPoints:
 
     def step(self, state: State[None]) -> StepProblem:
         """Return the problem of a step: the whole way that is left."""
-        field, points = state.field, state.points
-        normals = field.normal(points)
+        field, target = state.field, self.left(state.field)
+        sample = SurfaceSample(target.points, target.normals, self.weights)
+        if len(field.theta) > MOST:
+            on: Energy = NormalTarget(target.points, target.gaps, self.weights)
+            strength = OFF_SURFACE_STRENGTH
+        else:
+            on = target
+            # Strains of the surface are gaps over the spacing.
+            strength = OFF_SURFACE_STRENGTH / float(self.weights.mean())
+        away = off_surface(
+            field, sample, target.gaps, strength=strength, points=OFF_SURFACE_POINTS, seed=self.seed + state.step
+        )
+        rule = DampingRule(None, first=FIRST_DAMPING, least=LEAST_DAMPING, allowed_error=ALLOWED)
+        row = {"strain_left": target.energy()}
+        return StepProblem(DeformationSpace(field), [on, away], rule, row=row)
+
+    def left(self, field: Field) -> RigidityTarget:
+        """Return what is left between the field's surface and the goals; of a goal that finds no surface, nothing."""
+        points, arrived = newton_to_surface(field, self.goals, reach=field.size / 20)
+        points = torch.where(arrived[:, None], points, self.goals)
+        slopes = field.gradient(points)
+        normals = slopes / slopes.norm(dim=1, keepdim=True).clamp(min=torch.finfo(slopes.dtype).tiny)
         gaps = ((self.goals - points) * normals).sum(dim=1)
-        sample = SurfaceSample(points, normals, self.weights)
-        away = off_surface(field, sample, gaps, strength=OFF_SURFACE_STRENGTH, seed=self.seed + state.step)
-        rule = DampingRule(None, first=self.damping, least=self.damping)
-        return StepProblem(DeformationSpace(field), [NormalTarget(points, gaps, self.weights), away], rule)
+        return RigidityTarget(points, normals, gaps, self.laplacian)
 
     def taken(self, state: State[None], taken: Taken) -> Outcome[None]:
         """Return nothing to keep or to record."""

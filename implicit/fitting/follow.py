@@ -124,46 +124,61 @@ def follow_surface(
         turns = SpokesAndRims(rest.vertices, rest.faces).rotations(moved)
     else:
         turns = _checked("rotations", rotations, (len(moved), 3, 3))
-    return follow_map(
+    follower = Follower(
         field,
         SurfaceMap(rest, moved, turns),
         values=values,
         start=field if start is None else start,
         samples=samples,
-        schedule=Schedule(steps, *RATES),
         batch=batch,
         seed=seed,
-        progress=progress,
     )
+    return follower.train(steps, progress)
 
 
-def follow_map(
-    field: Field,
-    surface_map: SurfaceMap,
-    *,
-    values: Values,
-    start: Field,
-    samples: int,
-    schedule: Schedule,
-    batch: int,
-    seed: int,
-    progress: Callable[[int, int, float], None] | None = None,
-) -> tuple[Field, Following]:
-    """Return the field brought to where a map takes its surface, and how near it came; see follow_surface."""
-    began = perf_counter()
-    as_distance = values == "distance" or (values == "auto" and is_distance(field, surface_map.rest))
-    wanted = carried_samples(field, surface_map, samples, as_distance=as_distance, seed=seed)
-    middle, half = field.bounds.mean(dim=0), field.size / 2
-    subject = StartedField(start.with_theta(start.theta), middle, half)
-    subject.require_derivatives((wanted.points[: min(batch, 16)] - middle) / half)
-    learner = _Wanted(subject, wanted, batch, half)
-    run = TrainingRun(learner, torch.Generator().manual_seed(seed), schedule, start=began)
-    status = run.train(progress)
-    found = subject.field(field.bounds)
-    found = field.with_theta(found.theta)
-    miss = surface_miss(found, wanted)
-    kind = "distance" if as_distance else "carried"
-    return found, Following(kind, run.step, perf_counter() - began, *miss, status)
+class Follower:
+    """A field on its way to where a map takes its surface; see follow_surface for the arguments.
+
+    Args:
+        field: Whose surface the map begins from.
+        surface_map: Where it goes.
+        values, start, samples, batch, seed: As for follow_surface.
+
+    Raises:
+        ValueError: The field cannot be trained.
+    """
+
+    def __init__(
+        self,
+        field: Field,
+        surface_map: SurfaceMap,
+        *,
+        values: Values,
+        start: Field,
+        samples: int,
+        batch: int,
+        seed: int,
+    ) -> None:
+        self._began = perf_counter()
+        self._field, self._seed = field, seed
+        as_distance = values == "distance" or (values == "auto" and is_distance(field, surface_map.rest))
+        self._values = "distance" if as_distance else "carried"
+        self._wanted = carried_samples(field, surface_map, samples, as_distance=as_distance, seed=seed)
+        middle, half = field.bounds.mean(dim=0), field.size / 2
+        self._subject = StartedField(field.with_theta(start.theta), middle, half)
+        self._subject.require_derivatives((self._wanted.points[: min(batch, 16)] - middle) / half)
+        self._learner = _Wanted(self._subject, self._wanted, batch, half)
+        self._steps = 0
+
+    def train(self, steps: int, progress: Callable[[int, int, float], None] | None = None) -> tuple[Field, Following]:
+        """Return the field after so many steps more, and how near it came; the learning rate rises and falls once."""
+        generator = torch.Generator().manual_seed(self._seed + self._steps)
+        run = TrainingRun(self._learner, generator, Schedule(steps, *RATES))
+        status = run.train(progress)
+        self._steps += run.step
+        found = self._subject.field(self._field.bounds)
+        miss = surface_miss(found, self._wanted)
+        return found, Following(self._values, self._steps, perf_counter() - self._began, *miss, status)
 
 
 def is_distance(field: Field, surface: WeakSurface) -> bool:
@@ -171,7 +186,7 @@ def is_distance(field: Field, surface: WeakSurface) -> bool:
     some = surface.vertices[:: max(1, len(surface.vertices) // 1000)]
     slopes = field.gradient(torch.from_numpy(some).to(field.theta)).norm(dim=1).double()
     low, high = (float(torch.quantile(slopes, q)) for q in (0.05, 0.95))
-    return 1 - DISTANCE_SLOPE < low and high < 1 + DISTANCE_SLOPE
+    return low > 1 - DISTANCE_SLOPE and high < 1 + DISTANCE_SLOPE
 
 
 def surface_miss(field: Field, wanted: CarriedSamples, count: int = 4000) -> tuple[float, float, float]:

@@ -57,7 +57,7 @@ class EnclosedVolume:
     def reached(self, start: FloatArray, way: FloatArray, volume: float) -> FloatArray:
         """Return the positions on the line from a start along a way at which the volume is a given one.
 
-        The nearest to the start, by Newton's method on the polynomial; where it does not get there, the nearest it came.
+        By Newton's method on the polynomial from the start; where it does not get there, the nearest it came.
         """
         middle = start.mean(axis=0)
         u, at_start, at_way = start - middle, self.gradient(start), self.gradient(way)

@@ -55,7 +55,7 @@ def best_rotations(matrices: FloatArray, start: FloatArray | None = None, *, acc
 
 
 def _newton_turns(turned: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Return (tr(B) I - sym B)^-1 times the axial vector of each B (n, 3), and where that matrix is positive definite."""
+    """Return (tr(B) I - sym B)^-1 a for each B (n, 3), and where that matrix is positive definite (n,)."""
     B = np.ascontiguousarray(turned.reshape(-1, 9).T)
     a, d, f = B[4] + B[8], B[0] + B[8], B[0] + B[4]
     b, c, e = -(B[1] + B[3]) / 2, -(B[2] + B[6]) / 2, -(B[5] + B[7]) / 2
@@ -65,7 +65,7 @@ def _newton_turns(turned: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     determinant = a * A + b * Bc + c * C
     x, y, z = B[5] - B[7], B[6] - B[2], B[1] - B[3]
     size = np.maximum(a + d + f, 1e-300)
-    definite = (a > 0) & (F > DEFINITE * size**2) & (determinant > DEFINITE * size**3)
+    definite = (a > 0) & (DEFINITE * size**2 < F) & (determinant > DEFINITE * size**3)
     scale = 1 / np.where(definite, determinant, 1.0)
     turns = np.stack([A * x + Bc * y + C * z, Bc * x + D * y + Ec * z, C * x + Ec * y + F * z], axis=1)
     return turns * scale[:, None], definite

@@ -10,8 +10,8 @@ energy. C is a sparse matrix of cells by edges, and with the differences D over 
     covariances  S_v = sum_e C[v, e] e_0 e^T      R_v maximises tr(R_v S_v)
     L = D^T diag(C^T 1) D                         L u = D^T ((C^T R) e_0) minimises over u for given rotations
 
-Conventions: x is the rest shape, e_0 = D x, e = D u; each half edge is in the cells of three corners, so that L is three
-times the cotangent Laplacian.
+Conventions: x is the rest shape, e_0 = D x, e = D u; each half edge is in the cells of three corners, so that L is
+three times the cotangent Laplacian.
 """
 
 from __future__ import annotations
