@@ -61,9 +61,9 @@ LOOKS = 64
 KILLING_SHARE = 0.75
 
 # Steps of the optimiser in each round by which the field follows: a further one is taken where the surface is not that
-# near to the points (root mean square over the size), or has other pieces. What it learns from.
+# near to the points (root mean square over the size) but comes nearer, or has other pieces. What it learns from.
 ROUNDS = (150, 300, 600, 1200)
-NEAR = 5e-4
+NEAR, STALLED = 5e-4, 0.7
 SAMPLES, BATCH = 20_000, 2048
 
 # Most steps of boundary sensitivity at the end.
@@ -235,12 +235,14 @@ def _followed(
         batch=BATCH,
         seed=problem.seed,
     )
+    last = float("inf")
     for number, steps in enumerate(ROUNDS):
         tell.round(number)
         found, following = follower.train(steps, tell.field)
-        near = following.miss_rms <= NEAR * found.size
+        near = following.miss_rms <= NEAR * found.size or following.miss_rms > STALLED * last
         if following.status is FitStatus.DIVERGED or (near and _has_type(found, rest, problem.resolution)):
             break
+        last = following.miss_rms
     return problem.precise.with_theta(found.theta.double()), following
 
 

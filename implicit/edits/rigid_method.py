@@ -21,8 +21,8 @@ Method = Literal["auto", "linear", "finite"]
 
 # Longest way that is left to a handle, over the longest side of the surface, and largest angle by which the handles
 # turn against each other along their path, in radians, up to which linear steps are taken.
-LONG = 0.05
-TURNED = 0.2
+LONG = 0.012
+TURNED = 0.06
 
 
 @dataclass(frozen=True)

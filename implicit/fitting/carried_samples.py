@@ -141,7 +141,7 @@ class _Space:
     def distances(self, points: FloatArray) -> tuple[FloatArray, np.ndarray, FloatArray]:
         """Return signed distances, the nearest point of the surface, and the directions of the distance."""
         apart, found = self.tree.query(points, k=min(ASKED, len(self.points)))
-        apart, found = apart.reshape(len(points), -1), found.reshape(len(points), -1)
+        apart, found = np.asarray(apart).reshape(len(points), -1), np.asarray(found).reshape(len(points), -1)
         heights = np.einsum("nkd,nkd->nk", points[:, None] - self.points[found], self.normals[found])
         nearest = found[:, 0]
         # Of planes those count most whose points are nearest: the weights fall to nothing at the last.

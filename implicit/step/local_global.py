@@ -98,7 +98,7 @@ class LocalGlobal:
         self.volume = EnclosedVolume(energy.faces, len(energy.vertices))
         self._size = float(np.ptp(energy.vertices, axis=0).max())
         asked = hold.held | (hold.pulls > 0)
-        _, piece = csgraph.connected_components(energy.laplacian != 0, directed=False)
+        _, piece = csgraph.connected_components(abs(energy.laplacian), directed=False)
         self.untouched = ~np.isin(piece, np.unique(piece[asked]))
         self._held = hold.held | self.untouched
         self._free = np.flatnonzero(~self._held)

@@ -83,7 +83,7 @@ class SpokesAndRims:
     @cached_property
     def edge_weights(self) -> FloatArray:
         """C^T 1, the weight of each edge in all cells (E,)."""
-        return np.asarray(self.cells.sum(axis=0)).ravel()
+        return np.asarray(self.cells.sum(axis=0), dtype=np.float64).ravel()
 
     @cached_property
     def laplacian(self) -> sparse.csc_array:

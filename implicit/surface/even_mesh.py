@@ -81,7 +81,8 @@ def _clustered(V: FloatArray, F: IntArray, count: int) -> tuple[FloatArray, IntA
     across = np.cross(V[F[:, 1]] - V[F[:, 0]], V[F[:, 2]] - V[F[:, 0]]) / 2
     areas = np.linalg.norm(across, axis=1)
     masses = np.bincount(F.ravel(), np.repeat(areas, 3), len(V)) / 3 + 1e-9 * areas.mean()
-    normals = np.stack([np.bincount(F.ravel(), np.repeat(part, 3), len(V)) for part in across.T], axis=1)
+    sums = [np.bincount(F.ravel(), np.repeat(part, 3), len(V)) for part in across.T]
+    normals = np.stack(sums, axis=1).astype(np.float64)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     spacing = (areas.sum() / count) ** 0.5
     places = np.concatenate([V, NORMALS * spacing * normals], axis=1)
@@ -93,7 +94,7 @@ def _clustered(V: FloatArray, F: IntArray, count: int) -> tuple[FloatArray, IntA
         sums = [np.bincount(cluster, masses * column, count) for column in places.T]
         full = weights > 0
         centres[full] = np.stack(sums, axis=1)[full] / weights[full, None]
-    cluster = _connected(cKDTree(centres).query(places)[1], F)
+    cluster = _connected(np.asarray(cKDTree(centres).query(places)[1], dtype=np.int64), F)
     corners = cluster[F]
     triangles = corners[(corners != np.roll(corners, 1, axis=1)).all(axis=1)]
     used, renamed = np.unique(triangles, return_inverse=True)
