@@ -75,7 +75,7 @@ MARGIN = 0.01
 
 @dataclass(frozen=True, eq=False)
 class FiniteProblem:
-    """What a rigid edit by finite rotations is asked.
+    """Request for a rigid edit by finite rotations.
 
     Attributes:
         field: As given, in its own precision.

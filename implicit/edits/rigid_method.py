@@ -27,7 +27,7 @@ TURNED = 0.06
 
 @dataclass(frozen=True)
 class Choice:
-    """The way a rigid edit goes, and why.
+    """Choice of the way that a rigid edit goes, and why.
 
     Attributes:
         finite: True for finite rotations.

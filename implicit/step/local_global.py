@@ -72,7 +72,7 @@ class Minimum:
 
 @dataclass(frozen=True, eq=False)
 class Hold:
-    """What is asked of some vertices.
+    """Vertices that are held or pulled.
 
     Attributes:
         held: True for each vertex that is to be just where it is told (V,).

@@ -40,7 +40,7 @@ class Foot:
 
 @dataclass(frozen=True, eq=False)
 class SurfaceMap:
-    """Where a deformation of a mesh takes the points of the surface near it.
+    """Map of the points near a mesh, by a deformation of it.
 
     Attributes:
         rest: The mesh before.
