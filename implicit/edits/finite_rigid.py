@@ -26,6 +26,7 @@ from implicit.edits.rigid_placement import Placement
 from implicit.edits.targets import AveragedTargets
 from implicit.edits.towards_points import TowardsPoints
 from implicit.evolve.constraints import ConstraintSet, Holding
+from implicit.evolve.damping import AdaptiveDamping
 from implicit.evolve.edit import Edit, EditStatus, Progress, edit_status, reached_target, with_evidence
 from implicit.evolve.evolve import Loop
 from implicit.evolve.trial import StepRefused
@@ -66,8 +67,12 @@ ROUNDS = (150, 300, 600, 1200)
 NEAR, STALLED = 5e-4, 0.7
 SAMPLES, BATCH = 20_000, 2048
 
-# Most steps of boundary sensitivity at the end.
+# Most steps of boundary sensitivity at the end, and how many times the damping is tried where one breaks the surface.
 LAST_STEPS = 3
+FIRMNESS = (1.0, 1e2, 1e4)
+
+# Part of the points' surface inside another part of it that is told of.
+CROSSED = 2e-3
 
 # Least distance of the moved surface from the bounds, over the field's size.
 MARGIN = 0.01
@@ -286,26 +291,32 @@ def _polished(problem: FiniteProblem, field: Field, surface_map: SurfaceMap, res
     left = operation.left(field)
     state = loop.start(field, SurfaceSample(left.points, left.normals, masses), None)
     rows: list[Row] = []
-    ended = EditStatus.DONE
+    status = EditStatus.DONE
     sound = _has_type(field, rest, problem.resolution)
     for number in range(LAST_STEPS):
-        try:
-            step = loop.step(state)
-        except StepRefused as refusal:
-            ended = refusal.status if problem.constraints else ended
-            break
-        after = operation.left(step.state.field)
-        # What mends the pieces may cost energy, but what breaks them is not taken, nor what only costs energy.
-        whole = _has_type(step.state.field, rest, problem.resolution)
-        worse = (sound and not whole) or (sound == whole and after.energy() >= left.energy())
-        if worse and (rows or not problem.constraints):
+        needed = bool(problem.constraints) and not rows
+        for firmness in FIRMNESS:
+            fresh = replace(state, damping=AdaptiveDamping.of_precision(field.dtype)) if firmness > 1 else state
+            try:
+                step = replace(loop, operation=replace(operation, firmness=firmness)).step(fresh)
+            except StepRefused as refusal:
+                refused = refusal.status
+                continue
+            after = operation.left(step.state.field)
+            # What mends the pieces may cost energy, but what breaks them is not taken, nor what only costs energy.
+            whole = _has_type(step.state.field, rest, problem.resolution)
+            if (whole or not sound) and (whole > sound or needed or after.energy() < left.energy()):
+                break
+            refused = EditStatus.STRAY_PIECES if sound and not whole else EditStatus.DONE
+        else:
+            status = refused if needed else status
             break
         state, left, sound = step.state, after, whole
         rows.append({**step.row, "step": number + 2})
     if rows and problem.constraints:
         state, rows[-1] = loop.polished(state, rows[-1])
         row = {**row, **held.values(held.measure(field))}
-    return _End(state.field, [row, *rows], ended)
+    return _End(state.field, [row, *rows], status)
 
 
 def _edit(problem: FiniteProblem, surface_map: SurfaceMap, end: _End, began: float) -> Edit:
@@ -377,6 +388,7 @@ def _row(
         "follow_steps": following.steps,
         "miss_rms": following.miss_rms,
         "miss_max": following.miss_max,
+        "crossed": following.crossed,
         "values_off_surface": following.values,
         "seconds_points": seconds_points,
         "seconds_field": following.seconds,
@@ -409,6 +421,11 @@ def _following_notes(field: Field, following: Following) -> list[str]:
     """Return what to know of how the field followed."""
     notes = []
     size = field.size
+    if following.crossed > CROSSED:
+        notes.append(
+            f"The points pass through each other: {following.crossed:.2g} of their surface lies inside another part of "
+            "it, which no field can show. Hold the volume, or move the handles less."
+        )
     if following.miss_rms > FOLLOWED * size or following.status is FitStatus.DIVERGED:
         notes.append(
             f"The field could not follow: its surface is {following.miss_rms / size:.2g} of the size away from where "

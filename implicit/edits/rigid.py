@@ -155,7 +155,8 @@ def rigid_edit(
     operation = prepare(precise, handles, settings, tangential, points)
     sample, target, whole = operation.sample, operation.targets.target(), operation.placement(1.0)
     before = field_soundness(field, resolution)
-    choice = chosen(method, sample, operation.targets, whole, linear_options(settings, tangential))
+    options = linear_options(settings, tangential)
+    choice = chosen(method, sample, operation.targets, whole, len(field.theta), options)
     if choice.finite:
         finite = FiniteProblem(
             field=field,

@@ -1,4 +1,4 @@
-"""Which of two ways a rigid edit goes: linear steps, or finite rotations; by measurement where nothing is said.
+"""Choice between the two ways of a rigid edit, linear steps or finite rotations: measured where none is asked for.
 
 A linear step forgets what earlier ones have strained and stretches what turns by an angle a by a^2 / 2. Up to a few
 degrees that is nothing, and its optimum is exact among what the network can express; beyond, finite rotations are
@@ -24,6 +24,9 @@ Method = Literal["auto", "linear", "finite"]
 LONG = 0.012
 TURNED = 0.06
 
+# Fewest parameters of a field that can be trained to another shape; for a formula's few a step's optimum is the best.
+FEWEST = 200
+
 
 @dataclass(frozen=True)
 class Choice:
@@ -39,7 +42,12 @@ class Choice:
 
 
 def chosen(
-    method: Method, sample: SurfaceSample, targets: AveragedTargets, whole: Placement, linear_options: list[str]
+    method: Method,
+    sample: SurfaceSample,
+    targets: AveragedTargets,
+    whole: Placement,
+    parameters: int,
+    linear_options: list[str],
 ) -> Choice:
     """Return the way to go.
 
@@ -48,6 +56,7 @@ def chosen(
         sample: Points of the unedited surface.
         targets: What the handles ask of them.
         whole: The rigid motion that goes nearest to it.
+        parameters: How many the field has.
         linear_options: Names of the options that the caller has set and that finite rotations have not.
 
     Raises:
@@ -61,6 +70,8 @@ def chosen(
         )
     if method != "auto" or linear_options:
         return Choice(method == "finite")
+    if parameters < FEWEST:
+        return Choice(False, (f"Linear steps were taken, for the field has but {parameters} parameters.",))
     held = targets.prescribed
     left = (targets.positions(1.0) - whole.at(sample.points))[held].norm(dim=1).max()
     side = (sample.points.amax(dim=0) - sample.points.amin(dim=0)).max()

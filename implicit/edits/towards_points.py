@@ -50,6 +50,7 @@ class TowardsPoints:
         weights: Area that each stands for (V,).
         laplacian: L of the energy whose minimum the goals are (V, V).
         seed: Of the random points off the surface.
+        firmness: Factor of the damping.
     """
 
     columns: ClassVar[tuple[str, ...]] = ("strain_left",)
@@ -58,6 +59,7 @@ class TowardsPoints:
     weights: Float[Tensor, " v"]
     laplacian: sparse.csc_array
     seed: int
+    firmness: float = 1.0
 
     def start(self, field: Field, points: Tensor) -> None:
         """Return no memory: the steps need none."""
@@ -80,7 +82,9 @@ class TowardsPoints:
         away = off_surface(
             field, sample, target.gaps, strength=strength, points=OFF_SURFACE_POINTS, seed=self.seed + state.step
         )
-        rule = DampingRule(None, first=FIRST_DAMPING, least=LEAST_DAMPING, allowed_error=ALLOWED)
+        rule = DampingRule(
+            None, first=self.firmness * FIRST_DAMPING, least=self.firmness * LEAST_DAMPING, allowed_error=ALLOWED
+        )
         row = {"strain_left": target.energy()}
         return StepProblem(DeformationSpace(field), [on, away], rule, row=row)
 

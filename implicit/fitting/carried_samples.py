@@ -33,6 +33,9 @@ PART_AWAY = 0.75
 ASKED = 4
 NEAR = 0.02
 
+# How far outside of the surface one looks for another part of it, in spacings of the samples.
+OUTSIDE = 1.0
+
 # How far beyond the bounds the samples reach, over the size.
 MARGIN = 0.03
 
@@ -48,6 +51,8 @@ class CarriedSamples:
         gradients: Wanted df/dx, of the points near the surface (N, D).
         on_surface: How many are on the surface.
         slope: Median of |df/dx| on the surface before, units of the field to a length.
+        crossed: Part of the wanted surface that lies inside another part of it, beyond what does so before: no field
+            has such a surface.
     """
 
     points: Float[Tensor, "n d"]
@@ -56,6 +61,7 @@ class CarriedSamples:
     gradients: Float[Tensor, "n d"]
     on_surface: int
     slope: float
+    crossed: float
 
 
 def carried_samples(
@@ -80,6 +86,8 @@ def carried_samples(
     lengths = field.gradient_length(slopes)
     normals = (slopes / lengths[:, None]).double().cpu().numpy()
     y, turned = surface_map.at(foot), surface_map.turned(foot, normals)
+    off = OUTSIDE * (float(surface_map.rest.contents.sum()) / len(y)) ** 0.5
+    before = _Space(cKDTree(foot.points), foot.points, normals, field.size)
     space = _Space(cKDTree(y), y, turned, field.size)
     away = max(1, round(PART_AWAY * len(y)))
     parts = [space.about(spread, away, generator) for spread in SPREADS]
@@ -89,7 +97,7 @@ def carried_samples(
     distances, nearest, directions = space.distances(points)
     slope = float(lengths.double().median())
     if as_distance:
-        values, on, off = distances, turned, directions
+        values, on, beside = distances, turned, directions
     else:
         size = lengths.double().cpu().numpy()
         rotations = surface_map.rotation(foot)[nearest]
@@ -98,14 +106,20 @@ def carried_samples(
         # Where parts come near each other or fold, the place that a point came from may lie on the other side.
         agree = np.sign(own) == np.sign(distances)
         values = np.where(agree, own, size[nearest] * distances)
-        on, off = size[:, None] * turned, size[nearest][:, None] * directions
+        on, beside = size[:, None] * turned, size[nearest][:, None] * directions
 
     def joined(first: FloatArray, second: FloatArray) -> Tensor:
         return torch.from_numpy(np.concatenate([first, second])).to(field.theta)
 
     zero = np.zeros(len(y))
     return CarriedSamples(
-        joined(y, points), joined(zero, values), joined(zero, distances), joined(on, off), len(y), slope
+        joined(y, points),
+        joined(zero, values),
+        joined(zero, distances),
+        joined(on, beside),
+        len(y),
+        slope,
+        max(0.0, space.hidden(off) - before.hidden(off)),
     )
 
 
@@ -137,6 +151,14 @@ class _Space:
         """Return points about random ones of the surface, normally distributed."""
         chosen = generator.integers(len(self.points), size=count)
         return self.points[chosen] + spread * self.size * generator.normal(size=(count, self.points.shape[1]))
+
+    def hidden(self, off: float) -> float:
+        """Return the part of the surface just outside of which one is inside.
+
+        Args:
+            off: How far outside to look, a length.
+        """
+        return float((self.distances(self.points + off * self.normals)[0] < 0).mean())
 
     def distances(self, points: FloatArray) -> tuple[FloatArray, np.ndarray, FloatArray]:
         """Return signed distances, the nearest point of the surface, and the directions of the distance."""

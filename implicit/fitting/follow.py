@@ -62,6 +62,7 @@ class Following:
         miss_rms, miss_max: Distance of the field's surface from the wanted one, a length: root mean square and largest
             over samples of it. Where a sample finds no surface near it, it counts as far as was looked.
         lost: Part of the samples that found none.
+        crossed: Part of the wanted surface that lies inside another part of it: no field has such a surface.
         status: How the training ended.
     """
 
@@ -71,6 +72,7 @@ class Following:
     miss_rms: float
     miss_max: float
     lost: float
+    crossed: float
     status: FitStatus
 
 
@@ -178,7 +180,9 @@ class Follower:
         self._steps += run.step
         found = self._subject.field(self._field.bounds)
         miss = surface_miss(found, self._wanted)
-        return found, Following(self._values, self._steps, perf_counter() - self._began, *miss, status)
+        return found, Following(
+            self._values, self._steps, perf_counter() - self._began, *miss, self._wanted.crossed, status
+        )
 
 
 def is_distance(field: Field, surface: WeakSurface) -> bool:

@@ -39,7 +39,8 @@ def small():
         patch.setattr("implicit.edits.rigid.VERTICES", 700)
         patch.setattr(finite_rigid, "SAMPLES", 3000)
         patch.setattr(finite_rigid, "BATCH", 512)
-        patch.setattr(finite_rigid, "NEAR", 5e-3)
+        patch.setattr(finite_rigid, "NEAR", 2e-3)
+        patch.setattr("implicit.fitting.follow.RATES", (1e-2, 1e-2))
         patch.setattr(finite_rigid, "LAST_STEPS", 2)
         yield
 
