@@ -51,6 +51,10 @@ from implicit.surface.topology import Topology, surface_topology
 # the finer the mesh.
 VERTICES = 4000
 
+# Largest move of a vertex in an iteration, over the size, at which the points have come to rest: a stem bends so softly
+# that at three times as much its end may still be 0.4 % away.
+TOLERANCE = 3e-6
+
 # Angle of a stage of the path, which makes the first guess, in radians, and most of them.
 STAGE_ANGLE = 0.5
 MOST_STAGES = 60
@@ -64,11 +68,13 @@ KILLING_SHARE = 0.75
 # Steps of the optimiser in each round by which the field follows: a further one is taken where the surface is not that
 # near to the points (root mean square over the size) but comes nearer, or has other pieces. What it learns from.
 ROUNDS = (150, 300, 600, 1200)
-NEAR, STALLED = 5e-4, 0.7
+NEAR, STALLED = 1e-3, 0.7
 SAMPLES, BATCH = 20_000, 2048
 
-# Most steps of boundary sensitivity at the end, and how many times the damping is tried where one breaks the surface.
-LAST_STEPS = 3
+# Most steps of boundary sensitivity at the end, the strain between surface and points over the energy of these at which
+# no more are taken, and how many times the damping is tried where one breaks the surface.
+LAST_STEPS = 6
+STRAIN_LEFT = 0.04
 FIRMNESS = (1.0, 1e2, 1e4)
 
 # Part of the points' surface inside another part of it that is told of.
@@ -166,6 +172,7 @@ def _points(problem: FiniteProblem, surface: WeakSurface, tell: _Teller) -> Mini
             lambda fraction: targets.positions(fraction).cpu().numpy(),
             surface.vertices,
             stages=stages,
+            tolerance=TOLERANCE,
             volume=volume,
             report=tell.points,
         )
@@ -295,6 +302,8 @@ def _polished(problem: FiniteProblem, field: Field, surface_map: SurfaceMap, res
     sound = _has_type(field, rest, problem.resolution)
     for number in range(LAST_STEPS):
         needed = bool(problem.constraints) and not rows
+        if not needed and sound and left.energy() <= STRAIN_LEFT * row["energy"]:
+            break
         for firmness in FIRMNESS:
             fresh = replace(state, damping=AdaptiveDamping.of_precision(field.dtype)) if firmness > 1 else state
             try:
