@@ -4,6 +4,9 @@ Each step minimises E_K + alpha E_C over the parameters and the coefficients of 
 [paper, section 4.3]: E_K = int |J + J^T|^2 is zero just for infinitesimal rigid motions (Killing fields). The paper
 trains a second network for the tangential part; a linear basis makes each step one least squares.
 
+So these steps are for small motions. Large ones are done by finite rotations (implicit.edits.finite_rigid); which way
+is taken is said, or measured (implicit.edits.rigid_method).
+
 The rigid motion that fits the handles' targets best, as a whole, is done first, and exactly, where the network has a
 closed form; the steps have only the rest to do.
 
@@ -104,10 +107,10 @@ def rigid_edit(
     Args:
         field: A field in 3D; the caller's own stays as it is until `edit.field.write_back()`.
         handles: Regions with their motions, anchors among them as zero vectors. Weights scale the penalty.
-        method: "linear" takes the steps described above; "finite" minimises the energy of finite rotations against the
-            rest shape and lets the field follow (implicit.edits.finite_rigid), for motions of any size; "auto" chooses
-            by how much of the motion is left to be bent and turned, says so in `notes`, and takes linear steps where
-            an option is set that these alone have.
+        method: "linear" takes steps that are linear, by a Killing energy; "finite" minimises the energy of finite
+            rotations against the rest shape and lets the field follow (implicit.edits.finite_rigid), for motions of
+            any size; "auto" chooses by how much of the motion is left to be bent and turned, says so in `notes`, and
+            takes linear steps where an option is set that these alone have.
         steps: Sub-steps of the linear way; handles with a RigidMotion rotate along their path. Take one per 15 degrees
             or so. Finite rotations take as many stages as the path needs, but no fewer.
         alpha: Weight of the handles' squared error against the strain energy, per squared length. Both energies are

@@ -19,6 +19,10 @@ from implicit.surface.quadrature import SurfaceSample
 
 Method = Literal["auto", "linear", "finite"]
 
+# Measured on the bundled cow, whose head is pulled by a part of its length; energies over that of converged ARAP on its
+# common mesh, of one linear step and of finite rotations: 1.09 and 1.12 at 1 %, 1.009 and 1.013 at 3 %, 1.014 and 1.009
+# at 6 %, 1.031 and 1.011 at 10 %, 1.067 and 1.006 at 15 %. Of 6 %, 0.015 of the side and 3.5 degrees are left.
+#
 # Longest way that is left to a handle, over the longest side of the surface, and largest angle by which the handles
 # turn against each other along their path, in radians, up to which linear steps are taken.
 LONG = 0.012
