@@ -239,7 +239,7 @@ IMPLICIT = [
     ("best rotation by Newton's method", "step/rotations::_newton_turns",
      "B[6] - B[2]",
      "B[2] - B[6]",
-     "step/spokes_and_rims::rotations_from_a_start_are_those_of_the_singular_values"),
+     "step/spokes_and_rims::from_near_by_newtons_method_arrives_alone"),
     ("right-hand side of the global step", "step/spokes_and_rims::SpokesAndRims.right_hand_side",
      '"eij,ej->ei"',
      '"eji,ej->ei"',

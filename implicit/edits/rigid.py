@@ -158,8 +158,7 @@ def rigid_edit(
     operation = prepare(precise, handles, settings, tangential, points)
     sample, target, whole = operation.sample, operation.targets.target(), operation.placement(1.0)
     before = field_soundness(field, resolution)
-    options = linear_options(settings, tangential)
-    choice = chosen(method, sample, operation.targets, whole, len(field.theta), options)
+    choice = chosen(method, sample, operation.targets, whole, len(field.theta), linear_options(settings, tangential))
     if choice.finite:
         finite = FiniteProblem(
             field=field,

@@ -6,6 +6,7 @@ import pytest
 
 import meshref
 from implicit.sensitivity.weak_curvature import WeakSurface
+from implicit.step import rotations
 from implicit.step.mesh_killing import MeshKilling
 from implicit.step.rotations import best_rotations
 from implicit.step.spokes_and_rims import SpokesAndRims
@@ -76,6 +77,19 @@ def test_rotations_from_a_start_are_those_of_the_singular_values():
     wrong = np.broadcast_to(rotation_by((0, 0, np.pi)), start.shape)
     np.testing.assert_allclose(best_rotations(changed, wrong), best_rotations(changed), atol=1e-9)
     np.testing.assert_allclose(np.linalg.det(start), 1)
+
+
+def test_from_near_by_newtons_method_arrives_alone(monkeypatch):
+    """Without a singular value decomposition, which makes up for all else."""
+    matrices = np.eye(3) + 0.1 * np.random.default_rng(4).normal(size=(50, 3, 3))
+    wanted = best_rotations(matrices)
+
+    def refused(_):
+        raise AssertionError("Newton's method did not arrive")
+
+    monkeypatch.setattr(rotations, "_from_singular_values", refused)
+    start = np.broadcast_to(rotation_by((0.05, 0.1, -0.05)), matrices.shape)
+    np.testing.assert_allclose(best_rotations(matrices, start), wanted, atol=1e-9)
 
 
 def rotation_by(vector):
