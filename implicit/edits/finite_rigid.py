@@ -74,7 +74,7 @@ SAMPLES, BATCH = 20_000, 2048
 # Most steps of boundary sensitivity at the end, the strain between surface and points over the energy of these at which
 # no more are taken, and how many times the damping is tried where one breaks the surface.
 LAST_STEPS = 6
-STRAIN_LEFT = 0.04
+STRAIN_LEFT = 0.08
 FIRMNESS = (1.0, 1e2, 1e4)
 
 # Part of the points' surface inside another part of it that is told of.
