@@ -56,6 +56,7 @@ from implicit.models.field_file import load_field, save_field
 from implicit.models.checkpoints import load_checkpoint, load_network
 from implicit.models.siren import Siren
 from implicit.fitting.fit import FitStatus, Training, fit_field
+from implicit.fitting.follow import Following, follow_surface
 from implicit import families, models, shapes
 
 __all__ = [
@@ -71,6 +72,6 @@ __all__ = [
     "extract_mesh", "project_to_surface", "surface_quadrature", "SurfaceSample", "sample_surface", "transport",
     "field_soundness", "Soundness", "surface_topology", "mesh_topology", "Topology",
     "Field", "Units", "SurfaceError", "decoder_field", "save_field", "load_field", "load_checkpoint", "load_network",
-    "Siren", "fit_field", "Training", "FitStatus",
+    "Siren", "fit_field", "Training", "FitStatus", "follow_surface", "Following",
     "shapes", "models", "families",
 ]  # fmt: skip

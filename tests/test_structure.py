@@ -27,7 +27,7 @@ FORBIDDEN = {
 ORDER = {
     "implicit": [
         "arguments", "renamed", "files", "data", "field", "models", "shapes", "surface", "sensitivity", "step",
-        "evolve", "edits", "fitting", "families", "__init__",
+        "evolve", "fitting", "edits", "families", "__init__",
     ],
     "compare": [
         "errors", "files", "cases", "operations", "fitting", "runs", "reports", "studies", "paper", "commands",
@@ -40,7 +40,10 @@ MOST_ARGUMENTS = 12
 MORE_ARGUMENTS = {
     # Every edit takes the field, points, damping, constraints, resolution, track, progress and seed: eight.
     "implicit/edits/geometric.py::geometric_edit": (13, "the eight, two for the target, three for how it is reached"),
-    "implicit/edits/rigid.py::rigid_edit": (15, "the eight, and a weight for each of the four terms of the energy"),
+    "implicit/edits/rigid.py::rigid_edit": (
+        16,
+        "the eight, the method, and a weight for each of the four terms of the energy",
+    ),
     "implicit/edits/smoothing.py::smooth": (
         19,
         "the eight, a law of motion with its time and form, and what ends and holds it",

@@ -108,10 +108,14 @@ def neural_step(
     """Return one step of the case: how it moves the common mesh, and its seconds without those of sampling."""
     handles = [spec.build() for spec in case.handles]
     sample = implicit.sample_surface(subject.field, points, "farthest", seed=seed)
-    edit = implicit.rigid_edit(subject.field, handles, points=sample, track=torch.from_numpy(subject.V), seed=seed)
+    edit = implicit.rigid_edit(
+        subject.field, handles, method="linear", points=sample, track=torch.from_numpy(subject.V), seed=seed
+    )
     assert edit.tracked is not None
     start = perf_counter()
-    implicit.rigid_edit(subject.field, handles, points=sample, seed=seed)  # as it is used, with nothing to carry along
+    implicit.rigid_edit(
+        subject.field, handles, method="linear", points=sample, seed=seed
+    )  # as it is used, with nothing to carry along
     return edit.tracked.double().numpy() - subject.V, perf_counter() - start
 
 

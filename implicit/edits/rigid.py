@@ -4,6 +4,9 @@ Each step minimises E_K + alpha E_C over the parameters and the coefficients of 
 [paper, section 4.3]: E_K = int |J + J^T|^2 is zero just for infinitesimal rigid motions (Killing fields). The paper
 trains a second network for the tangential part; a linear basis makes each step one least squares.
 
+So these steps are for small motions. Large ones are done by finite rotations (implicit.edits.finite_rigid); which way
+is taken is said, or measured (implicit.edits.rigid_method).
+
 The rigid motion that fits the handles' targets best, as a whole, is done first, and exactly, where the network has a
 closed form; the steps have only the rest to do.
 
@@ -22,7 +25,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.arguments import require_positive, require_whole
+from implicit.edits.finite_rigid import VERTICES, FiniteProblem, finite_rigid_edit
 from implicit.edits.handles import Handle
+from implicit.edits.rigid_method import Method, chosen
 from implicit.edits.rigid_placement import Placement
 from implicit.edits.targets import AveragedTargets, checked_handles
 from implicit.evolve.constraints import checked_constraints
@@ -67,6 +72,9 @@ COMBINATIONS = 1500
 FEWEST_COMBINATIONS = 500
 NUMBERS = 100_000_000
 
+# Weight of the bending part of E_K where none is asked for.
+BENDING = 0.1
+
 # Weight of the bending part of E_K on a mesh where `bending` is its default: there 1 is the energy of spokes and rims.
 MESH_BENDING = 10.0
 
@@ -81,9 +89,10 @@ def rigid_edit(
     field: Field,
     handles: Sequence[Handle],
     *,
+    method: Method = "auto",
     steps: int = 1,
     alpha: float = 1e3,
-    bending: float = 0.1,
+    bending: float = BENDING,
     thickness: float = 0.0,
     tangential: TangentialModel | None = None,
     points: int | SurfaceSample = 2000,
@@ -100,9 +109,15 @@ def rigid_edit(
     Args:
         field: A field in 3D; the caller's own stays as it is until `edit.field.write_back()`.
         handles: Regions with their motions, anchors among them as zero vectors. Weights scale the penalty.
-        steps: Sub-steps; handles with a RigidMotion rotate along their path. Take one per 15 degrees or so.
+        method: "linear" takes steps that are linear, by a Killing energy; "finite" minimises the energy of finite
+            rotations against the rest shape and lets the field follow (implicit.edits.finite_rigid), for motions of
+            any size; "auto" chooses by how much of the motion is left to be bent and turned, says so in `notes`, and
+            takes linear steps where an option is set that these alone have.
+        steps: Sub-steps of the linear way; handles with a RigidMotion rotate along their path. Take one per 15 degrees
+            or so. Finite rotations take as many stages as the path needs, but no fewer.
         alpha: Weight of the handles' squared error against the strain energy, per squared length. Both energies are
-            integrals over the surface.
+            integrals over the surface. With finite rotations it holds where a handle's weight is below 1: where it is
+            1 they hold the points just where they are told.
         bending, thickness: Weights of the parts of E_K (see implicit.step.energies.Killing). Where second derivatives
             of the field do not tell how its surface bends, E_K is taken on a mesh of the surface
             (implicit.step.mesh_killing): its bending is that of spokes and rims at the default, and it has no
@@ -110,7 +125,8 @@ def rigid_edit(
             1 for both; what lies off the surface then costs as much as strain on it. The default leaves half the
             tangential energy on the bundled cow, with the same handles.
         tangential: Basis of the motion along the surface; None takes CosineFeatures(field).
-        points: Number of points that carry the energies, spread as far apart as can be, or the sample itself.
+        points: Number of points that carry the energies, spread as far apart as can be, or the sample itself. Finite
+            rotations take a mesh of as many vertices, or 4000 if that is more.
         damping: Penalty on the squares of the unknowns; None adapts it to the linearity error.
         off_surface_strength: Weight by which the field off the surface is tied to the surface's motion, see
             implicit.step.off_surface. 0 leaves it alone.
@@ -142,10 +158,27 @@ def rigid_edit(
         seed=seed,
     )
     operation = prepare(precise, handles, settings, tangential, points)
-    operation = replace(operation, mesh_cells=_mesh_cells(precise, operation.sample, settings))
-    sample, target = operation.sample, operation.targets.target()
+    sample, target, whole = operation.sample, operation.targets.target(), operation.placement(1.0)
     before = field_soundness(field, resolution)
-    whole = operation.placement(1.0)
+    choice = chosen(method, sample, operation.targets, whole, len(field.theta), linear_options(settings, tangential))
+    if choice.finite:
+        finite = FiniteProblem(
+            field=field,
+            precise=precise,
+            handles=checked_handles(handles),
+            sample=sample,
+            targets=operation.targets,
+            track=tracked,
+            constraints=constraints,
+            steps=steps,
+            alpha=alpha,
+            vertices=max(VERTICES, points) if isinstance(points, int) else VERTICES,
+            resolution=resolution,
+            progress=progress,
+            seed=seed,
+        )
+        return finite_rigid_edit(finite, before, choice.notes)
+    operation = replace(operation, mesh_cells=_mesh_cells(precise, sample, settings))
     if _can_be_placed(precise, whole, sample, constraints):
         start, operation = whole.field(precise), replace(operation, begin=whole)
     else:
@@ -168,7 +201,7 @@ def rigid_edit(
         normals=sample.normals,
         displacement=edit.points + edit.displacement - sample.points,
         wanted=target,
-        notes=(*edit.notes, *operation.notes(precise)),
+        notes=(*choice.notes, *edit.notes, *operation.notes(precise)),
     )
     return with_evidence(edit, before, resolution)
 
@@ -214,6 +247,13 @@ class RigidSettings:
         require_positive("alpha", self.alpha)
         for name in ("bending", "thickness", "off_surface_strength"):
             require_positive(name, getattr(self, name), or_zero=True)
+
+
+def linear_options(settings: RigidSettings, tangential: TangentialModel | None) -> list[str]:
+    """Return the names of the options that differ from their defaults and that linear steps alone have."""
+    usual = {"bending": BENDING, "thickness": 0.0, "damping": None, "off_surface_strength": OFF_SURFACE_STRENGTH}
+    named = [name for name, value in usual.items() if getattr(settings, name) != value]
+    return named if tangential is None else [*named, "tangential"]
 
 
 def prepare(

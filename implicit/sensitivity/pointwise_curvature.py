@@ -24,8 +24,8 @@ from torch import Tensor
 from implicit.field.field import Field
 
 # Of the turning, the part that must be explained. Measured (tests and the bundled fields): smooth networks and formulas
-# 0.7 to 1 (trained ones above 0.99), ReLU behind Fourier features 0.53, of which pointwise smoothing loses 23 % less area
-# than the mesh flow, grids with linear interpolation 0.2 to 0.4, ReLU networks and shapes with flat sides 0 to 0.1.
+# 0.7 to 1 (trained ones above 0.99), ReLU behind Fourier features 0.53 (pointwise smoothing of which loses 23 % less
+# area than the mesh flow), grids with linear interpolation 0.2 to 0.4, ReLU and shapes with flat sides 0 to 0.1.
 LEAST_EXPLAINED = 0.65
 
 # Length of the way to each side, in units of the field's size: a quarter of a cell of the quadrature of an edit.

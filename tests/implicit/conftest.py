@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 import torch
 from torch import Tensor, nn
 
-from implicit import Field, Siren
-from implicit.shapes import bundled
+from implicit import Field, Siren, fit_field
+from implicit.shapes import bundled, capsule
 
 
 class Wobbly(nn.Module):
@@ -157,3 +158,16 @@ def relu_torus() -> Field:
         return ((points[:, :2].norm(dim=1) - 0.55).square() + points[:, 2].square()).sqrt() - 0.25
 
     return Field(relu_network(distance))
+
+
+@pytest.fixture(scope="session")
+def rod() -> Field:
+    """A small network, P = 353, near the distance of a rod along y of radius 0.2 and length 1.3; float32."""
+    generator = torch.Generator().manual_seed(0)
+    exact = capsule((0, -0.45, 0), (0, 0.45, 0), 0.2, dtype=torch.float32)
+    near = torch.rand(6000, 3, generator=generator) * torch.tensor([0.6, 1.4, 0.6]) - torch.tensor([0.3, 0.7, 0.3])
+    points = torch.cat([near, 2 * torch.rand(3000, 3, generator=generator) - 1])
+    network = Siren(width=16, depth=2, first_frequency=4.0, generator=generator)
+    values, normals = exact.value_and_gradient(points)
+    options: dict[str, Any] = {"steps": 200, "batch": 512, "band": 0.1, "learning_rate": 1e-2}
+    return fit_field(points, values, normals, module=network, **options)[0]

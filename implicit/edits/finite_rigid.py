@@ -1,0 +1,475 @@
+"""Rigid edits of any size: the energy of finite rotations is minimised on points, and the field then follows them.
+
+    points    spokes and rims of a mesh of the field's own surface, against the rest shape (implicit.step.local_global)
+    field     trained on samples of the map that the points give, from the best rigid placement
+              (implicit.fitting.follow)
+    end       steps of boundary sensitivity in the metric of that energy, functionals restored
+              (implicit.edits.towards_points)
+
+Nothing is linear in the motion and nothing adds up over steps, so that a bend of 90 degrees, or a twist, ends where one
+small solve after another would not: these forget what the earlier ones have strained.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from implicit.edits.handles import Handle
+from implicit.edits.rigid_placement import Placement
+from implicit.edits.targets import AveragedTargets
+from implicit.edits.towards_points import TowardsPoints
+from implicit.evolve.constraints import ConstraintSet, Holding
+from implicit.evolve.damping import AdaptiveDamping
+from implicit.evolve.edit import Edit, EditStatus, Progress, edit_status, reached_target, with_evidence
+from implicit.evolve.evolve import Loop
+from implicit.evolve.trial import StepRefused
+from implicit.field.field import Field, SurfaceError
+from implicit.fitting.follow import FOLLOWED, Follower, Following
+from implicit.fitting.training import FitStatus
+from implicit.sensitivity.moved_as_a_whole import moved_as_a_whole
+from implicit.sensitivity.shape_functionals import Functional, Volume
+from implicit.sensitivity.weak_curvature import FloatArray, WeakSurface
+from implicit.step.enclosed_volume import EnclosedVolume
+from implicit.step.local_global import Hold, LocalGlobal, Minimum, MinimumStatus
+from implicit.step.problem import Row
+from implicit.step.spokes_and_rims import SpokesAndRims
+from implicit.step.surface_map import SurfaceMap
+from implicit.surface.even_mesh import even_mesh
+from implicit.surface.projection import newton_to_surface
+from implicit.surface.quadrature import SurfaceSample
+from implicit.surface.soundness import Soundness
+from implicit.surface.topology import Topology, surface_topology
+
+# Vertices of the mesh that carries the energy, unless more points are asked for. Spokes and rims bend the more easily
+# the finer the mesh.
+VERTICES = 4000
+
+# Largest move of a vertex in an iteration, over the size, at which the points have come to rest: a stem bends so softly
+# that at three times as much its end may still be 0.4 % away.
+TOLERANCE = 3e-6
+
+# Angle of a stage of the path, which makes the first guess, in radians, and most of them.
+STAGE_ANGLE = 0.5
+MOST_STAGES = 60
+
+# Fractions of the path at which its turning is measured.
+LOOKS = 64
+
+# Energy of the displacement's strain over that of spokes and rims, for small motions.
+KILLING_SHARE = 0.75
+
+# Steps of the optimiser in each round by which the field follows: a further one is taken where the surface is not that
+# near to the points (root mean square over the size) but comes nearer, or has other pieces. What it learns from.
+ROUNDS = (150, 300, 600, 1200)
+NEAR, STALLED = 1e-3, 0.7
+SAMPLES, BATCH = 20_000, 2048
+
+# Most steps of boundary sensitivity at the end, the strain between surface and points over the energy of these at which
+# no more are taken, and how many times the damping is tried where one breaks the surface.
+LAST_STEPS = 6
+STRAIN_LEFT = 0.08
+FIRMNESS = (1.0, 1e2, 1e4)
+
+# Part of the points' surface inside another part of it that is told of.
+CROSSED = 2e-3
+
+# Least distance of the moved surface from the bounds, over the field's size.
+MARGIN = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class FiniteProblem:
+    """Request for a rigid edit by finite rotations.
+
+    Attributes:
+        field: As given, in its own precision.
+        precise: The same in float64.
+        handles: Regions with their motions.
+        sample: Points of the unedited surface that judge the edit.
+        targets: What the handles ask of them.
+        track: The caller's points, or None.
+        constraints: Functionals to hold.
+        steps: Least number of stages of the path.
+        alpha: Price of the squared distance from its goal of a point that a handle weighs by 1, against the strain
+            energy; holds for weights below 1, a full weight holds firmly.
+        vertices: About how many the mesh is to have.
+        resolution: Cells of the evidence and of the quadrature of the functionals.
+        progress: Called with step, steps and a row.
+        seed: Of the random samples.
+    """
+
+    field: Field
+    precise: Field
+    handles: Sequence[Handle]
+    sample: SurfaceSample
+    targets: AveragedTargets
+    track: Float[Tensor, "m d"] | None
+    constraints: Sequence[Functional]
+    steps: int
+    alpha: float
+    vertices: int
+    resolution: int
+    progress: Progress | None
+    seed: int
+
+
+def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence[str] = ()) -> Edit:
+    """Return the edit by finite rotations.
+
+    Args:
+        problem: What is asked.
+        before: How sound the field is.
+        notes: Sentences that the edit is to have beside its own.
+
+    Raises:
+        ValueError: A region holds no vertex of the mesh, or the field cannot be trained.
+    """
+    began = time.perf_counter()
+    tell = _Teller(problem.progress)
+    surface = WeakSurface.of(*even_mesh(problem.precise, problem.vertices))
+    minimum = _points(problem, surface, tell)
+    surface_map = SurfaceMap(surface, minimum.positions, minimum.rotations)
+    own = [_minimum_note(minimum)] if minimum.status is not MinimumStatus.CONVERGED else []
+    seconds_points = time.perf_counter() - began
+    if minimum.status is MinimumStatus.NOT_FINITE or not _stays_inside(problem.precise, minimum.positions):
+        lost = minimum.status is not MinimumStatus.NOT_FINITE
+        ended = EditStatus.SURFACE_LOST if lost else EditStatus.NOT_FINITE
+        if lost:
+            own.append("The surface would leave the bounds of the field. Widen the bounds, or move the handles less.")
+        edit = replace(_untouched(problem, ended, began), notes=(*notes, *own))
+        return with_evidence(edit, before, problem.resolution)
+    edited, following = _followed(problem, surface_map, before.topology, tell)
+    own += _following_notes(problem.field, following)
+    row = _row(problem, edited, surface_map, minimum, following, seconds_points)
+    end = _polished(problem, edited, surface_map, before.topology, row)
+    edit = _edit(problem, surface_map, end, began)
+    reached = reached_target(edit) and following.miss_rms <= FOLLOWED * problem.field.size
+    reached = reached and following.status is not FitStatus.DIVERGED
+    edit = replace(edit, status=edit_status(end.status, reached=reached), notes=(*notes, *own))
+    return with_evidence(edit, before, problem.resolution)
+
+
+def _points(problem: FiniteProblem, surface: WeakSurface, tell: _Teller) -> Minimum:
+    """Return the deformation of the mesh of least energy."""
+    vertices = torch.from_numpy(surface.vertices).to(problem.precise.theta)
+    targets = AveragedTargets(problem.handles, vertices, torch.from_numpy(surface.normals).to(vertices))
+    targets.require_points_in_each_region()
+    weights = targets.weights.cpu().numpy()
+    soft = np.where(weights < 1, KILLING_SHARE * problem.alpha * surface.masses * weights, 0.0)
+    hold = Hold(weights >= 1, soft)
+    solver = LocalGlobal(SpokesAndRims(surface.vertices, surface.faces), hold)
+    stages = max(problem.steps, min(MOST_STAGES, round(turning(targets) / STAGE_ANGLE)), 1)
+
+    def minimum(volume: float | None) -> Minimum:
+        return solver.minimum(
+            lambda fraction: targets.positions(fraction).cpu().numpy(),
+            surface.vertices,
+            stages=stages,
+            tolerance=TOLERANCE,
+            volume=volume,
+            report=tell.points,
+        )
+
+    held, bound = _volume(problem, surface)
+    if held is None or bound == "equal":
+        return minimum(held)
+    free = minimum(None)
+    reached = solver.volume.value(free.positions)
+    broken = reached < held if bound == "at least" else reached > held
+    return minimum(held) if broken else free
+
+
+def _volume(problem: FiniteProblem, surface: WeakSurface) -> tuple[float | None, str]:
+    """Return the volume that the mesh is to hold, and on which side; of other functionals the end takes care."""
+    for functional in problem.constraints:
+        if type(functional) is Volume:
+            own = EnclosedVolume(surface.faces, len(surface.vertices)).value(surface.vertices)
+            if functional.target is None:
+                return own, functional.bound
+            # The mesh lies within its surface: what it encloses is in proportion.
+            measured = ConstraintSet.of(problem.precise, [Volume()], Holding(resolution=problem.resolution)).targets[0]
+            return own * functional.target / measured, functional.bound
+    return None, "equal"
+
+
+def turning(targets: AveragedTargets) -> float:
+    """Return by how much the handles turn against each other along their path, in radians.
+
+    It is the largest sum, over small parts of the path, of the angles by which the best rigid motion of a handle's
+    points and that of all of them turn against each other.
+    """
+    groups = [weights > 0 for weights in targets.handle_weights]
+    if len(groups) < 2:
+        return 0.0
+    total = [0.0] * len(groups)
+    before = targets.positions(0.0)
+    for k in range(1, LOOKS + 1):
+        after = targets.positions(k / LOOKS)
+        whole = _rotation(before, after, targets.prescribed)
+        for number, group in enumerate(groups):
+            total[number] += _angle(whole.T @ _rotation(before, after, group))
+        before = after
+    return max(total)
+
+
+def _rotation(before: Tensor, after: Tensor, which: Tensor) -> Tensor:
+    weights = torch.ones_like(before[which][:, 0])
+    return Placement.fitting(before[which], after[which], weights).rotation
+
+
+def _angle(rotation: Tensor) -> float:
+    return float(torch.arccos(((rotation.trace() - 1) / 2).clamp(-1, 1)))
+
+
+def _stays_inside(field: Field, positions: FloatArray) -> bool:
+    lower, upper = field.bounds.double().cpu().numpy()
+    margin = MARGIN * field.size
+    return bool(((positions > lower + margin) & (positions < upper - margin)).all())
+
+
+def _followed(
+    problem: FiniteProblem, surface_map: SurfaceMap, rest: Topology, tell: _Teller
+) -> tuple[Field, Following]:
+    """Return the field in float64 on the moved surface, trained until it is there in as many pieces as before."""
+    follower = Follower(
+        problem.precise.to(torch.float32),
+        surface_map,
+        values="auto",
+        start=_start(problem, surface_map).to(torch.float32),
+        samples=SAMPLES,
+        batch=BATCH,
+        seed=problem.seed,
+    )
+    last = float("inf")
+    for number, steps in enumerate(ROUNDS):
+        tell.round(number)
+        found, following = follower.train(steps, tell.field)
+        near = following.miss_rms <= NEAR * found.size or following.miss_rms > STALLED * last
+        if following.status is FitStatus.DIVERGED or (near and _has_type(found, rest, problem.resolution)):
+            break
+        last = following.miss_rms
+    return problem.precise.with_theta(found.theta.double()), following
+
+
+def _has_type(field: Field, wanted: Topology, resolution: int) -> bool:
+    """Return whether a field's surface can be meshed, into as many pieces with as many handles."""
+    try:
+        return surface_topology(field, resolution).same_type(wanted)
+    except SurfaceError:
+        return False
+
+
+def _start(problem: FiniteProblem, surface_map: SurfaceMap) -> Field:
+    """Return the field after the rigid motion that goes nearest to the map, where that can be had in closed form."""
+    field, rest = problem.precise, surface_map.rest
+    start, moved, masses = (
+        torch.from_numpy(part).to(field.theta) for part in (rest.vertices, surface_map.moved, rest.masses)
+    )
+    whole = Placement.fitting(start, moved, masses)
+    if moved_as_a_whole(field, whole.rotation, whole.translation) is None:
+        return field
+    return whole.field(field)
+
+
+@dataclass(frozen=True, eq=False)
+class _End:
+    """A field at the end of an edit, with its rows and how the last steps ended."""
+
+    field: Field
+    history: list[Row]
+    status: EditStatus
+
+
+def _polished(problem: FiniteProblem, field: Field, surface_map: SurfaceMap, rest: Topology, row: Row) -> _End:
+    """Return the field nearer to the least energy, with the functionals at their targets."""
+    held = ConstraintSet.of(problem.precise, problem.constraints, Holding(resolution=problem.resolution), tuple(row))
+    goals = torch.from_numpy(surface_map.moved).to(field.theta)
+    masses = torch.from_numpy(surface_map.rest.masses).to(field.theta)
+    energy = SpokesAndRims(surface_map.rest.vertices, surface_map.rest.faces)
+    operation = TowardsPoints(goals, masses, energy.laplacian, problem.seed)
+    loop = Loop(operation, held, changing=False)
+    left = operation.left(field)
+    state = loop.start(field, SurfaceSample(left.points, left.normals, masses), None)
+    rows: list[Row] = []
+    status = EditStatus.DONE
+    sound = _has_type(field, rest, problem.resolution)
+    for number in range(LAST_STEPS):
+        needed = bool(problem.constraints) and not rows
+        if not needed and sound and left.energy() <= STRAIN_LEFT * row["energy"]:
+            break
+        for firmness in FIRMNESS:
+            fresh = replace(state, damping=AdaptiveDamping.of_precision(field.dtype)) if firmness > 1 else state
+            try:
+                step = replace(loop, operation=replace(operation, firmness=firmness)).step(fresh)
+            except StepRefused as refusal:
+                refused = refusal.status
+                continue
+            after = operation.left(step.state.field)
+            # What mends the pieces may cost energy, but what breaks them is not taken, nor what only costs energy.
+            whole = _has_type(step.state.field, rest, problem.resolution)
+            if (whole or not sound) and (whole > sound or needed or after.energy() < left.energy()):
+                break
+            refused = EditStatus.STRAY_PIECES if sound and not whole else EditStatus.DONE
+        else:
+            status = refused if needed else status
+            break
+        state, left, sound = step.state, after, whole
+        rows.append({**step.row, "step": number + 2})
+    if rows and problem.constraints:
+        state, rows[-1] = loop.polished(state, rows[-1])
+        row = {**row, **held.values(held.measure(field))}
+    return _End(state.field, [row, *rows], status)
+
+
+def _edit(problem: FiniteProblem, surface_map: SurfaceMap, end: _End, began: float) -> Edit:
+    """Return the edit without its evidence."""
+    sample = problem.sample
+    points = _placed(end.field, surface_map, sample.points)
+    tracked = None if problem.track is None else _placed(end.field, surface_map, problem.track)
+    return Edit(
+        field=end.field.to(problem.field.dtype),
+        points=sample.points,
+        normals=sample.normals,
+        weights=sample.weights,
+        displacement=points - sample.points,
+        wanted=problem.targets.target(),
+        tracked=tracked,
+        trail=() if tracked is None else (tracked,) * len(end.history),
+        history=end.history,
+        status=end.status,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _untouched(problem: FiniteProblem, status: EditStatus, began: float) -> Edit:
+    """Return an edit that took no step."""
+    sample = problem.sample
+    return Edit(
+        field=problem.field.with_theta(problem.field.theta),
+        points=sample.points,
+        normals=sample.normals,
+        weights=sample.weights,
+        displacement=torch.zeros_like(sample.points),
+        wanted=problem.targets.target(),
+        tracked=problem.track,
+        trail=(),
+        history=[],
+        status=status,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _mapped(surface_map: SurfaceMap, points: Tensor) -> Tensor:
+    return torch.from_numpy(surface_map.at(points.double().cpu().numpy())).to(points)
+
+
+def _placed(field: Field, surface_map: SurfaceMap, points: Tensor) -> Tensor:
+    """Return points of the unedited surface where the map takes them, brought onto the edited field's."""
+    goals = _mapped(surface_map, points)
+    found, arrived = newton_to_surface(field, goals, reach=field.size / 20)
+    return torch.where(arrived[:, None], found, goals)
+
+
+def _row(
+    problem: FiniteProblem,
+    edited: Field,
+    surface_map: SurfaceMap,
+    minimum: Minimum,
+    following: Following,
+    seconds_points: float,
+) -> Row:
+    """Return the record of the points and of the field that followed, in the columns that every edit has."""
+    nan = float("nan")
+    seconds = seconds_points + following.seconds
+    return {
+        "step": 1,
+        "energy": minimum.energy,
+        "iterations": minimum.iterations,
+        "largest_move": minimum.largest_move,
+        "volume_gap": minimum.volume_gap,
+        "follow_steps": following.steps,
+        "miss_rms": following.miss_rms,
+        "miss_max": following.miss_max,
+        "crossed": following.crossed,
+        "values_off_surface": following.values,
+        "seconds_points": seconds_points,
+        "seconds_field": following.seconds,
+        "constraint_gap": minimum.volume_gap,
+        "residual": following.miss_rms,
+        "objective": minimum.energy,
+        "condition": nan,
+        "rank": nan,
+        "damping": 0.0,
+        "method": "finite rotations",
+        "largest_motion": float(np.linalg.norm(minimum.positions - surface_map.rest.vertices, axis=1).max()),
+        "linearity_error": nan,
+        "d_theta_norm": float((edited.theta - problem.precise.theta).norm()),
+        "points_lost": 0,
+        "solve_status": minimum.status.value,
+        "solves": minimum.iterations,
+        "seconds_solve": seconds_points,
+        "seconds": seconds,
+    }
+
+
+def _minimum_note(minimum: Minimum) -> str:
+    return (
+        f"The points had not come to rest: {minimum.status.value} The last of {minimum.iterations} iterations moved "
+        f"one by {minimum.largest_move:.2g} of the size. Move the handles less, or in several edits."
+    )
+
+
+def _following_notes(field: Field, following: Following) -> list[str]:
+    """Return what to know of how the field followed."""
+    notes = []
+    size = field.size
+    if following.crossed > CROSSED:
+        notes.append(
+            f"The points pass through each other: {following.crossed:.2g} of their surface lies inside another part of "
+            "it, which no field can show. Hold the volume, or move the handles less."
+        )
+    if following.miss_rms > FOLLOWED * size or following.status is FitStatus.DIVERGED:
+        notes.append(
+            f"The field could not follow: its surface is {following.miss_rms / size:.2g} of the size away from where "
+            f"the points are (root mean square; {following.miss_max / size:.2g} at most). A wider network can."
+        )
+    return notes
+
+
+class _Teller:
+    """Tells the caller's progress of both parts of the work, in hundredths of the whole.
+
+    Args:
+        progress: The caller's, or None.
+    """
+
+    def __init__(self, progress: Progress | None) -> None:
+        self._progress = progress
+        self._last = 0
+        self._round = 0
+
+    def round(self, number: int) -> None:
+        """Begin a round of the optimiser."""
+        self._round = number
+
+    def points(self, iteration: int, energy: float, move: float) -> None:
+        """Tell of an iteration of the points; how many there will be is not known."""
+        done = round(20 * iteration / (iteration + 40))
+        self._tell(done, {"phase": "points", "iteration": iteration, "largest_move": move})
+
+    def field(self, step: int, steps: int, loss: float) -> None:
+        """Tell of a step of the optimiser."""
+        done = 1 - 0.5**self._round * (1 - 0.5 * step / steps)
+        self._tell(20 + round(75 * done), {"phase": "field", "iteration": step, "loss": loss})
+
+    def _tell(self, done: int, row: Row) -> None:
+        if self._progress is not None and done > self._last:
+            self._last = done
+            self._progress(done, 100, {"step": done, **row})

@@ -1,0 +1,167 @@
+"""Rigid edits of any size: a rod bent by 45 degrees, its volume held, its points, field and energy in agreement."""
+
+import math
+
+import pytest
+import torch
+
+from implicit import (
+    HalfSpace,
+    Handle,
+    RigidMotion,
+    Volume,
+    extract_mesh,
+    integrate,
+    mesh_topology,
+    project_to_surface,
+    rigid_edit,
+    sample_surface,
+)
+from implicit.edits import finite_rigid
+from implicit.edits.finite_rigid import turning
+from implicit.edits.targets import AveragedTargets
+from implicit.evolve.edit import EditStatus
+
+FOOT = Handle(HalfSpace((0, -0.4, 0), (0, -1, 0)), (0.0, 0.0, 0.0))
+TIP = HalfSpace((0, 0.4, 0), (0, 1, 0))
+# The axis between the handles, 0.8 long, becomes an arc of so many radians.
+ANGLE = math.pi / 4
+RADIUS = 0.8 / ANGLE
+ARRIVED = (RADIUS * (1 - math.cos(ANGLE)), RADIUS * math.sin(ANGLE) - 0.8, 0)
+BEND = RigidMotion(rotation=(0, 0, -ANGLE), center=(0, 0.4, 0), translation=ARRIVED)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small():
+    """A mesh and a training that suit a rod and a small network."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(finite_rigid, "VERTICES", 700)
+        patch.setattr("implicit.edits.rigid.VERTICES", 700)
+        patch.setattr(finite_rigid, "SAMPLES", 3000)
+        patch.setattr(finite_rigid, "BATCH", 512)
+        patch.setattr(finite_rigid, "NEAR", 2e-3)
+        patch.setattr("implicit.fitting.follow.RATES", (1e-2, 1e-2))
+        patch.setattr(finite_rigid, "LAST_STEPS", 2)
+        yield
+
+
+@pytest.fixture(scope="module")
+def bent(rod):
+    told = []
+    V, _ = extract_mesh(rod, 20)
+    track = project_to_surface(rod.to(torch.float64), torch.from_numpy(V))
+    edit = rigid_edit(
+        rod,
+        [FOOT, Handle(TIP, BEND)],
+        constraints=[Volume()],
+        points=300,
+        resolution=24,
+        track=track,
+        progress=lambda *news: told.append(news),
+    )
+    return edit, track, told
+
+
+def test_the_handles_reach_their_goals(bent):
+    edit, _, _ = bent
+    assert edit.status is EditStatus.DONE
+    moved = torch.isfinite(edit.wanted).all(dim=1)
+    apart = (edit.displacement - edit.wanted)[moved].norm(dim=1)
+    assert float(apart.square().mean().sqrt()) < 0.006
+    assert float(edit.wanted[moved].norm(dim=1).max()) > 0.3
+
+
+def test_the_volume_is_held_as_by_other_edits(bent, rod):
+    edit, _, _ = bent
+    before, after = (integrate(field.to(torch.float64), Volume(), 96).value for field in (rod, edit.field))
+    assert after == pytest.approx(before, rel=1e-6)
+    assert edit.history[-1]["constraint_gap"] < 1e-7
+
+
+def test_points_and_surface_agree_and_the_surface_is_in_one_piece(bent):
+    edit, _, _ = bent
+    V, F = extract_mesh(edit.field, 64)
+    assert mesh_topology(V, F).components == 1
+    assert mesh_topology(V, F).euler == 2
+    tracked = edit.tracked.to(edit.field.theta)
+    assert float((edit.field.value(tracked) / edit.field.gradient(tracked).norm(dim=1)).abs().max()) < 1e-5
+
+
+def test_the_middle_bends_into_the_arc(bent):
+    """The points of the axis's sides keep their distance from the arc: the rod does not thin out."""
+    edit, track, _ = bent
+    middle = track[:, 1].abs() < 0.2
+    centre = torch.tensor([RADIUS, -0.4, 0.0], dtype=torch.float64)
+    x = edit.tracked[middle].double() - centre
+    ring = torch.stack([x[:, :2].norm(dim=1) - RADIUS, x[:, 2]], dim=1).norm(dim=1)
+    assert float((ring - 0.2).abs().mean()) < 0.03
+
+
+def test_it_says_which_way_was_taken_and_why(bent):
+    edit, _, _ = bent
+    assert "Finite rotations were taken" in edit.notes[0]
+    assert edit.history[0]["method"] == "finite rotations"
+    assert edit.history[0]["largest_move"] <= 1e-5
+    assert edit.history[0]["miss_rms"] < 0.01
+
+
+def test_progress_is_told_in_hundredths(bent):
+    _, _, told = bent
+    steps = [step for step, _, _ in told]
+    assert steps == sorted(set(steps))
+    assert {row["phase"] for _, _, row in told} == {"points", "field"}
+    assert steps[-1] <= 100
+
+
+def test_a_small_motion_is_taken_in_linear_steps(rod):
+    edit = rigid_edit(rod, [FOOT, Handle(TIP, (0.01, 0.0, 0.0))], points=150, resolution=24)
+    assert "Linear steps were taken" in edit.notes[0]
+    assert edit.history[0]["method"] != "finite rotations"
+
+
+def test_options_of_the_linear_steps_alone_are_refused_or_decide(rod):
+    handles = [FOOT, Handle(TIP, BEND)]
+    with pytest.raises(ValueError, match='bending, damping must be left out with method="finite"'):
+        rigid_edit(rod, handles, method="finite", bending=1.0, damping=1e-3, points=100)
+    with pytest.raises(ValueError, match="method must be"):
+        rigid_edit(rod, handles, method="newton", points=100)
+
+
+def test_a_goal_beyond_the_bounds_is_refused_before_the_field_is_touched(rod):
+    edit = rigid_edit(rod, [FOOT, Handle(TIP, (0.0, 0.7, 0.0))], points=150, method="finite")
+    assert edit.status is EditStatus.SURFACE_LOST
+    torch.testing.assert_close(edit.field.theta, rod.theta, rtol=0, atol=0)
+    assert any("leave the bounds" in note for note in edit.notes)
+
+
+def test_a_field_that_cannot_follow_says_so(rod, monkeypatch):
+    monkeypatch.setattr(finite_rigid, "ROUNDS", (2,))
+    monkeypatch.setattr(finite_rigid, "LAST_STEPS", 0)
+    edit = rigid_edit(rod, [FOOT, Handle(TIP, BEND)], points=150, method="finite", resolution=24)
+    assert edit.status in (EditStatus.NOT_REACHED, EditStatus.STRAY_PIECES)
+    assert any("could not follow" in note for note in edit.notes)
+
+
+def test_an_interrupted_edit_leaves_the_field_as_it_was(rod):
+    before = rod.theta.clone()
+
+    def stop(step, steps, row):
+        if row["phase"] == "field":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        rigid_edit(rod, [FOOT, Handle(TIP, BEND)], points=150, method="finite", progress=stop)
+    torch.testing.assert_close(rod.theta, before, rtol=0, atol=0)
+
+
+def test_turning_counts_whole_turns_and_takes_none_for_a_motion_of_all(rod):
+    sample = sample_surface(rod.to(torch.float64), 200)
+
+    def angle(*motions):
+        handles = [Handle(h, m) for h, m in zip((FOOT.region, TIP), motions, strict=True)]
+        return turning(AveragedTargets(handles, sample.points, sample.normals))
+
+    whole = RigidMotion(rotation=(0, 7.0, 0))
+    assert angle(whole, whole) == pytest.approx(0, abs=1e-4)
+    # A point of the foot does not move, so that the whole turns by about half as much as the tip.
+    assert 2 * math.pi * 0.4 < angle((0.0, 0.0, 0.0), RigidMotion(rotation=(0, 2 * math.pi, 0))) < 2 * math.pi
