@@ -43,7 +43,7 @@ class Scene:
         ]
 
     def step(self, points: int) -> implicit.Edit:
-        return implicit.rigid_edit(self.field, self.handles, points=points, track=self.tracked)
+        return implicit.rigid_edit(self.field, self.handles, method="linear", points=points, track=self.tracked)
 
     def trained(self, points: int, iterations: int) -> TrainedStep:
         return trained_rigid_step(self.field, self.handles, points=points, iterations=iterations)

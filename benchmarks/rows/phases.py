@@ -70,7 +70,7 @@ def operations(folder: Path) -> dict[str, Callable[[], object]]:
     return {
         "geometric_edit, 4 parts, 2000 points": lambda: implicit.geometric_edit(precise, bump, steps=4, points=2000),
         "smooth, 3 steps, volume held": lambda: implicit.smooth(field, steps=3, constraints=(implicit.Volume(),)),
-        "rigid_edit, 1000 points": lambda: implicit.rigid_edit(precise, [feet, head], points=1000),
+        "rigid_edit, 1000 points": lambda: implicit.rigid_edit(precise, [feet, head], method="linear", points=1000),
         "semantic_edit, a chair's feet": lambda: implicit.semantic_edit(chair, points, ways),
         "extract_mesh, 256^3": lambda: implicit.extract_mesh(field, 256),
         "surface_quadrature, 64^3": lambda: implicit.surface_quadrature(precise, 64),

@@ -32,7 +32,9 @@ def killing(shape: str = "spot", repeats: int = 3) -> None:
     words += f"handles missed by {100 * found.handle_error:.2g} % on both"
     handles = [spec.build() for spec in case.handles]
     sample = implicit.sample_surface(subject.field, POINTS, "farthest")
-    ((ours_s, _),) = best(lambda: implicit.rigid_edit(subject.field, handles, points=sample), repeats=repeats)
+    ((ours_s, _),) = best(
+        lambda: implicit.rigid_edit(subject.field, handles, method="linear", points=sample), repeats=repeats
+    )
     for vertices in VERTICES:
         V, F, at, wanted = wanted_on_mesh(case, subject, vertices)
         largest = vertices == VERTICES[-1]

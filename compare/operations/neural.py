@@ -31,6 +31,7 @@ def run_edit(
     subject: Subject,
     method: str,
     progress: Progress | None = None,
+    /,
     **arguments: Any,
 ) -> Outcome:
     """Edit the field of a subject, carry the common mesh along, and return what came of it.

@@ -64,12 +64,17 @@ class Rigid(Operation):
         return {"implicit": (implicit.rigid_edit,), "mesh": (meshref.killing,)}
 
     def edit_field(self, case: Case, subject: Subject, progress: Progress | None = None) -> Outcome:
-        """Edit the field with as little strain as its network allows."""
+        """Edit the field with as little strain as its network allows.
+
+        The steps are linear as those of the mesh's least squares, like with like, unless the case names a method.
+        """
         import implicit
         from compare.operations.neural import run_edit
 
-        handles = [spec.build() for spec in case.handles]
-        return run_edit(implicit.rigid_edit, case, subject, "AKVF", progress, handles=handles)
+        arguments: dict[str, Any] = {"handles": [spec.build() for spec in case.handles]}
+        if "method" not in case.parameters.get("implicit", {}):
+            arguments["method"] = "linear"
+        return run_edit(implicit.rigid_edit, case, subject, "AKVF", progress, **arguments)
 
     def mesh_editors(self) -> Mapping[str, Editor]:
         """Return the linear least squares of the mesh, and as-rigid-as-possible deformation."""

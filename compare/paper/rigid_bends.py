@@ -150,6 +150,7 @@ def _bent(request: Request, what: str, shape: str, subject: Subject, degrees: fl
     case = Case(shape, "rigid", turning_handles(subject, what, degrees), seed=request.seed)
     handles = [spec.build() for spec in case.handles]
     options: dict[str, Any] = {"steps": steps, "points": 500 if request.quick else 2000, "seed": request.seed}
+    options["method"] = "linear"  # the paper's
     free = implicit.rigid_edit(subject.field, handles, **options)
     held = implicit.rigid_edit(subject.field, handles, constraints=(implicit.Volume(),), **options)
     words = f"{shape}, {what} by {degrees:.3g} degrees in {steps} steps"
