@@ -1,6 +1,7 @@
 """An operation is one object: a fourth one goes through cases, runs, records, tables, studies and reports by itself."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 import torch
 
 import implicit
-from compare import Case, default_cases, find_study, report, run_cases
+from compare import Case, default_cases, find_study, prepare_subject, report, run_cases
 from compare.cases import registry
 from compare.cases.registry import OPERATIONS
 from compare.commands.shown import print_table
@@ -197,3 +198,21 @@ def test_handles_are_only_found_for_operations_that_take_them():
     V = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 0.5]])
     for operation in operations():
         assert bool(operation.default_handles(V, V)) == operation.takes_handles
+
+
+@pytest.mark.parametrize(("own", "taken"), [({}, "linear"), ({"method": "finite"}, "finite")], ids=["default", "named"])
+def test_rigid_steps_are_linear_unless_the_case_names_a_method(ball, own, taken, monkeypatch):
+    asked = {}
+
+    def refuse(*_, **options):
+        asked.update(options)
+        raise RuntimeError("seen")
+
+    monkeypatch.setattr(implicit, "rigid_edit", refuse)
+    subject = prepare_subject(Case(str(ball), "smooth", vertices=150, resolution=16))
+    (case,) = default_cases(str(ball), subject.V, subject.N, operations=("rigid",), quick=True)
+    case = replace(case, parameters={"implicit": {**case.parameters["implicit"], **own}})
+    with pytest.raises(RuntimeError, match="seen"):
+        operation_of("rigid").edit_field(case, subject)
+    assert asked["method"] == taken
+    assert asked["points"] == case.parameters["implicit"]["points"]
