@@ -604,6 +604,7 @@ def main() -> int:
         "--write", action="store_true", help=f"only what is not in {RESULTS.name} yet; {PAGE.name} anew"
     )
     parser.add_argument("--processes", type=int, default=2, help="how many to run at a time (2)")
+    parser.add_argument("--suite-passed", action="store_true", help="do not run the tests as they are first")
     arguments = parser.parse_args()
     chosen = [
         m
@@ -617,7 +618,8 @@ def main() -> int:
         chosen = [mutation for mutation in chosen if is_known(mutation, found) is None]
     missed = 0
     # Those at random are run by the suite, which runs the tests as they are as well.
-    for mutation, caught in run(chosen, arguments.processes, tests_first=not arguments.random):
+    tests_first = not (arguments.random or arguments.suite_passed)
+    for mutation, caught in run(chosen, arguments.processes, tests_first):
         missed += not caught
         print(f"{'caught' if caught else 'MISSED'}  {mutation.path} {mutation.where()}: {mutation.formula}", flush=True)
         if arguments.write:
@@ -720,7 +722,7 @@ def _begin(test: str, tree: Path) -> int:
             os.dup2(nowhere.fileno(), 1)
             os.dup2(nowhere.fileno(), 2)
         signal.alarm(SECONDS_A_TEST)
-        code = int(pytest.main(["-q", "-x", "-n", "0", "-p", "no:cacheprovider", test]))
+        code = int(pytest.main(["-q", "-x", "-n", "0", "-m", "", "-p", "no:cacheprovider", test]))
     finally:
         os._exit(code)
 

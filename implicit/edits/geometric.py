@@ -23,6 +23,7 @@ from implicit.evolve.edit import Edit, Progress, require_options, with_evidence
 from implicit.evolve.evolve import evolve
 from implicit.field.field import Field
 from implicit.renamed import renamed
+from implicit.sensitivity.pointwise_curvature import normal_turning
 from implicit.sensitivity.shape_functionals import Functional
 from implicit.surface.quadrature import SurfaceSample
 from implicit.surface.soundness import field_soundness
@@ -52,7 +53,8 @@ def geometric_edit(
         handles: Regions and their displacements. A region's weight between 0 and 1 scales the displacement; where
             several overlap, displacements add. Vectors are projected on the current normal in each step.
         rest: Target of points in no region: "fixed" at zero, "free", or fixed with this weight.
-        steps: Equal sub-steps; None chooses their number as the edit goes, from the linearity error of each.
+        steps: Equal sub-steps; None chooses their number as the edit goes, from the linearity error of each, of which
+            a field whose gradient jumps (ReLU) is allowed more, for smaller steps leave as much.
         points: Number of points that carry the target, or the sample itself. They travel with the surface, and are
             drawn anew, more of them, where they have thinned out. Where each parameter acts near its own place alone
             (grids), as many are drawn as hold the surface between them too, up to 32,000, and `notes` says so; a
@@ -84,7 +86,8 @@ def geometric_edit(
     sample = carrying.sample
     targets = targets_of(sample.points, sample.normals)
     before = field_soundness(field, resolution)
-    schedule = PartSchedule.of(steps, targets.largest() / field.size)
+    kinked = steps is None and not normal_turning(field, sample.points).is_smooth
+    schedule = PartSchedule.of(steps, targets.largest() / field.size, kinked=kinked)
     operation = GeometricOperation(field, targets_of, sample, schedule, damping, off_surface_strength, track, seed)
     edit = evolve(
         field,

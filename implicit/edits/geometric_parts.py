@@ -31,7 +31,8 @@ from implicit.surface.sampling import sample_surface
 
 # Where the edit itself chooses the parts: the first part's share of the field's size, the nonlinear share of a step's
 # motion that is aimed at, and the most parts. The loop accepts a fiftieth; beyond, it damps the step, and what a damped
-# step leaves undone costs more than another part would.
+# step leaves undone costs more than another part would. Of a field with kinks the nonlinear share does not fall with the
+# part: on a ReLU network of 7 x 32, 4, 8, 12 and 24 parts leave 2.3, 2.2, 2.2 and 2.1 % between the points.
 FIRST_PART = 1 / 160
 LINEARITY = 0.012
 MOST_PARTS = 24
@@ -52,22 +53,26 @@ class PartSchedule:
         parts: How many equal ones; None chooses them as the edit goes.
         share: Of the whole displacement, in a part.
         now, then: Fractions of the whole at the start and at the end of the part that is next.
+        kinked: Whether the gradient of the field jumps, so that parts are made no smaller for their linearity's sake.
     """
 
     parts: int | None
     share: float
     now: float
     then: float
+    kinked: bool = False
 
     @classmethod
-    def of(cls, parts: int | None, largest: float = 0.0) -> PartSchedule:
+    def of(cls, parts: int | None, largest: float = 0.0, *, kinked: bool = False) -> PartSchedule:
         """Return the schedule before the first part.
 
         Args:
+            parts: How many equal ones; None chooses them as the edit goes.
             largest: Longest displacement over the field's size, for parts that are chosen as the edit goes.
+            kinked: Whether the gradient of the field jumps.
         """
         share = 1.0 / parts if parts is not None else min(0.25, FIRST_PART / max(largest, 1e-12))
-        return cls(parts, share, 0.0, share)
+        return cls(parts, share, 0.0, share, kinked)
 
     def advance(self, step: int, error: float, solves: int) -> PartSchedule:
         """Return the schedule after a part was taken.
@@ -82,7 +87,8 @@ class PartSchedule:
             return replace(self, now=now, then=(step + 1) / self.parts)
         # The nonlinear part of a step grows with its square, so its share of the motion grows with the step.
         damped = solves > 1 and step > 1  # the first part looks for its damping from below
-        share = self.share * (0.5 if damped else min(1.5, max(0.5, LINEARITY / max(error, 1e-12))))
+        least = 1.0 if self.kinked else 0.5
+        share = self.share * (0.5 if damped else min(1.5, max(least, LINEARITY / max(error, 1e-12))))
         left = 1.0 - now
         share = max(share, left / max(1, MOST_PARTS - step))
         more = math.ceil(left / share - 1e-9)

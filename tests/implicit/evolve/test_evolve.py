@@ -219,6 +219,9 @@ def test_equal_parts_and_parts_by_the_error_end_at_one():
         step += 1
         free = free.advance(step, 0.024, 1)  # twice the error that is aimed at: each part half as long
     assert step == 24  # the most parts there may be
+    kinked = PartSchedule.of(None, largest=0.1, kinked=True)
+    assert kinked.advance(1, 0.2, 1).share == kinked.share  # no smaller part would be more linear
+    assert kinked.advance(2, 0.2, 2).share < kinked.share  # but those after one that had to be damped are
     quick = PartSchedule.of(None, largest=0.1).advance(1, 1e-9, 1)
     assert quick.share == pytest.approx(1.5 / 16)
     even = PartSchedule.of(None, largest=0.1).advance(1, 0.012, 1)  # just the error that is aimed at
