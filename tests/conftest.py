@@ -3,7 +3,8 @@
 xdist hands files out in the order in which they stand, so the order is that of the processor seconds they took when
 `pytest --measure` wrote them down in slow_tests.json: a long file that came last would leave the other processes idle.
 Tests of more than SLOW seconds bear the marker of that name: `pytest` leaves them out, `pytest -m slow` runs them
-alone, and `pytest -m ""` all.
+alone, and `pytest -m ""` all. What is marked nightly shows at full size, or on one more example, what others show
+smaller; it runs with IMPLICIT_VS_MESH_NIGHTLY=full.
 """
 
 import json
@@ -42,12 +43,15 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what is slow, and put the files that took longest first."""
+    """Mark what is slow, skip what is nightly, and put the files that took longest first."""
     seconds = json.loads(SECONDS_FILE.read_text())
     of_file: Counter[str] = Counter()
     for test, took in seconds.items():
         of_file[test.split("::")[0]] += took
+    nightly = os.environ.get("IMPLICIT_VS_MESH_NIGHTLY") == "full"
     for item in items:
+        if not nightly and item.get_closest_marker("nightly"):
+            item.add_marker(pytest.mark.skip(reason="nightly: IMPLICIT_VS_MESH_NIGHTLY=full runs it"))
         if seconds.get(_function(item.nodeid), 0.0) > SLOW:
             item.add_marker(pytest.mark.slow)
     items.sort(key=lambda item: -of_file[item.nodeid.split("::")[0]])

@@ -11,6 +11,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 FILES = sorted(file.stem for file in (ROOT / "benchmarks").glob("[a-z]*.py"))
 SCRIPTS = {"common", "flat_memory", "side_by_side"}
+LARGE = pytest.mark.nightly  # of published sizes, or with many solves of the mesh beside
 KINDS = ("time_", "timeraw_", "peakmem_", "track_")
 
 
@@ -24,7 +25,10 @@ def benchmarks(monkeypatch):
     return lambda name: importlib.import_module(f"benchmarks.{name}")
 
 
-@pytest.mark.parametrize("name", [name for name in FILES if name not in SCRIPTS])
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=LARGE if name in {"rigid", "semantic"} else ()) for name in FILES if name not in SCRIPTS],
+)
 def test_every_benchmark_runs_on_its_first_parameters(benchmarks, name):
     """Setup and each method; what is tracked is a finite number, and has a unit."""
     module = benchmarks(name)

@@ -31,7 +31,7 @@ from implicit.surface.sampling import sample_surface
 
 # Where the edit itself chooses the parts: the first part's share of the field's size, the nonlinear share of a step's
 # motion that is aimed at, and the most parts. The loop accepts a fiftieth; beyond, it damps the step, and what a damped
-# step leaves undone costs more than another part would. Of a field with kinks the nonlinear share does not fall with the
+# step leaves undone costs more than another part would. Of a field with kinks the nonlinear share hardly falls with the
 # part: on a ReLU network of 7 x 32, 4, 8, 12 and 24 parts leave 2.3, 2.2, 2.2 and 2.1 % between the points.
 FIRST_PART = 1 / 160
 LINEARITY = 0.012

@@ -172,7 +172,13 @@ def test_an_interrupted_fit_resumes_to_the_same_weights(tmp_path):
 
 
 @needs_meshes
-@pytest.mark.parametrize(("name", "genus"), [("bunny.off", 0), ("rocker-arm.obj", 1)])
+@pytest.mark.parametrize(
+    ("name", "genus"),
+    [
+        ("rocker-arm.obj", 1),
+        *(pytest.param(name, 0, marks=pytest.mark.nightly) for name in ("bunny.off", "bar.off", "spot.obj")),
+    ],
+)
 def test_real_shapes_fit_below_the_stated_error_in_few_steps(name, genus):
     """A quarter of the default steps already leaves a mean distance under a quarter of what is asked."""
     _, report = fit_mesh(*meshref.read_mesh(MESHES / name), steps=1000)

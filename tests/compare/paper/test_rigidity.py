@@ -28,6 +28,7 @@ def test_a_small_step_is_as_rigid_as_the_mesh_with_the_same_handle_error(cactus)
     assert found.handle_error < 0.05
 
 
+@pytest.mark.nightly
 def test_a_smaller_part_of_a_pull_has_the_same_ratio(cactus):
     """Both editors are linear there: energies are quadratic in the part."""
     whole, half = (rigidity("cactus", cactus, points=300, part=part).tangential for part in (2e-3, 1e-3))

@@ -91,6 +91,7 @@ def test_two_processes_give_what_one_gives_even_if_one_is_killed(cases, in_proce
     assert {record.provenance["threads"] for record in records} == {1}
 
 
+@pytest.mark.nightly
 # What distributed itself leaves behind when one of its workers is killed under it.
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 def test_a_dask_cluster_gives_what_one_process_gives_even_if_a_worker_is_killed(cases, in_process, tmp_path):

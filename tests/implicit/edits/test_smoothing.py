@@ -1,7 +1,6 @@
 """Mean-curvature flow against its exact laws, and what it keeps."""
 
 import math
-import os
 
 import pytest
 import torch
@@ -9,7 +8,6 @@ import torch
 from implicit import Area, HalfSpace, Holding, Until, Volume, shapes, smooth, surface_quadrature
 from implicit.evolve.edit import EditStatus
 
-FULL = os.environ.get("IMPLICIT_VS_MESH_NIGHTLY") == "full"
 BALL = {"points": 40, "directions": None, "resolution": 16}  # all of its points say the same of its radius
 
 
@@ -116,7 +114,10 @@ def test_a_sphere_that_vanishes_ends_with_a_status():
     assert torch.isfinite(edit.field.theta).all()
 
 
-@pytest.mark.parametrize("name", ["cactus", *(["spot", "bracket"] if FULL else [])])
+@pytest.mark.parametrize(
+    "name",
+    ["cactus", pytest.param("spot", marks=pytest.mark.nightly), pytest.param("bracket", marks=pytest.mark.nightly)],
+)
 def test_coarse_settings_hold_the_volume_of_real_shapes(name):
     """A long step, few points, a coarse quadrature: the restoration must still converge."""
     field = shapes.bundled(name).to(torch.float64)

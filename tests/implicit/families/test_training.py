@@ -20,7 +20,10 @@ def weights(model):
     return torch.cat([p.flatten() for part in parts for p in part.parameters()] + [model.latents.flatten()])
 
 
-@pytest.mark.parametrize("architecture", ["deepsdf", "dualsdf", "imnet"])
+TRAINED = ["dualsdf", *(pytest.param(name, marks=pytest.mark.nightly) for name in ("deepsdf", "imnet"))]
+
+
+@pytest.mark.parametrize("architecture", TRAINED)
 def test_an_interrupted_training_ends_with_the_same_bits(architecture, tmp_path):
     whole = families.train_family("lamps", architecture, **TINY)
     path = tmp_path / "state.safetensors"
@@ -44,7 +47,7 @@ def test_an_interrupted_training_ends_with_the_same_bits(architecture, tmp_path)
         families.train_family("lamps", architecture, checkpoint=path, **TINY)
 
 
-@pytest.mark.parametrize("architecture", ["deepsdf", "dualsdf", "imnet"])
+@pytest.mark.parametrize("architecture", TRAINED)
 def test_the_loss_falls_and_codes_come_with_a_spread_of_one(architecture):
     losses = []
     options = TINY | (
