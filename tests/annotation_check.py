@@ -50,8 +50,8 @@ def held(thing: Any) -> Any:
 
 
 def held_function(function: FunctionType) -> Callable[..., Any]:
-    """Return the function with its first calls in a test checked."""
-    with_check = jaxtyped(typechecker=checked)(function)
+    """Return the function with its first calls in a test checked; the check is made at the first, for it takes time."""
+    with_check: list[Callable[..., Any]] = []
 
     @functools.wraps(function)
     def called(*args: Any, **kwargs: Any) -> Any:
@@ -59,7 +59,9 @@ def held_function(function: FunctionType) -> Callable[..., Any]:
         if _seen[function] >= CALLS:
             return function(*args, **kwargs)
         _seen[function] += 1
-        return with_check(*args, **kwargs)
+        if not with_check:
+            with_check.append(jaxtyped(typechecker=checked)(function))
+        return with_check[0](*args, **kwargs)
 
     return called
 

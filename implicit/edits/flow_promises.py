@@ -58,7 +58,7 @@ def area_growth(flow: Flow, constraints: Sequence[Functional], least: float, sur
 
 @dataclass(frozen=True, eq=False)
 class AskedFlow:
-    """What was asked of a surface, and how it is looked at.
+    """Wish that a flow had of a surface, and how it is looked at.
 
     Attributes:
         flow: The law of motion.

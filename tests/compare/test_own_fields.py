@@ -229,7 +229,12 @@ def test_a_study_cannot_name_code_to_fit(ball):
     assert not (ball / "was-run").exists()
 
 
-def test_a_module_of_ones_own_is_fitted_to_a_mesh():
+def test_a_module_of_ones_own_is_fitted_to_a_mesh(monkeypatch):
+    monkeypatch.setattr("compare.fitting.fit.ON_SURFACE", 12_000)
+    monkeypatch.setattr("compare.fitting.fit.ABOUT_SURFACE", ((10_000, 0.01), (10_000, 0.05)))
+    monkeypatch.setattr("compare.fitting.fit.IN_CUBE", 8_000)
+    monkeypatch.setattr("compare.fitting.fit.RESOLUTION", 64)
+    monkeypatch.setattr("compare.fitting.fit.QUADRATURE", 64)
     V, F = implicit.extract_mesh(implicit.shapes.torus(0.6, 0.25), 48)
     torch.manual_seed(0)
     module = nn.Sequential(nn.Linear(3, 32), nn.Softplus(20), nn.Linear(32, 32), nn.Softplus(20), nn.Linear(32, 1))

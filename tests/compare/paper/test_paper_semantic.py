@@ -1,11 +1,14 @@
 """The semantic figures: made quickly, and what they find."""
 
+import pytest
+
 from compare.paper import semantic_basis
 from compare.paper.family_edits import longer_wing, uneven_wings
 from compare.paper.request import Request
 from implicit import families
 
 
+@pytest.mark.nightly
 def test_basis_functions_are_drawn_and_symmetric_on_both_chairs(tmp_path):
     findings = semantic_basis.draw(Request(tmp_path, quick=True))
     assert (tmp_path / "semantic_basis.png").stat().st_size > 10_000
