@@ -22,6 +22,7 @@ def test_the_page_is_that_of_runs_on_these_sources_with_all_of_them_caught():
     current = [known for m in mutations.MUTATIONS if (known := mutations.is_known(m, results))]
     stale = [result.formula for result in results if result not in current]
     assert stale == [], "Run python tests/mutations.py --write: the sources of these have changed since they were run."
+    assert len(current) == len(mutations.MUTATIONS), "Run python tests/mutations.py --write: some were not run yet."
     assert [result.formula for result in results if not result.caught] == []
     assert mutations.PAGE.read_text() == mutations.page(results)
 

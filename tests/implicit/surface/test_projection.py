@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from implicit import Field, SurfaceError, project_to_surface, shapes
-from implicit.surface.projection import newton_to_surface, place_on_surface
+from implicit.surface.projection import _newton, newton_to_surface, place_on_surface
 from tests.implicit.surface.polytopes import CUBE, OCTAHEDRON, distance_out, polytope
 
 
@@ -121,3 +121,13 @@ def test_a_point_that_newtons_method_takes_off_its_segment_is_placed_on_it():
     assert found.points[0].tolist() == pytest.approx([0, 0, 0], abs=1e-12)
     free = place_on_surface(Field(Wave()), start, reach=1.0)
     assert float(free.points[0, 0]) != pytest.approx(0, abs=0.1)
+
+
+def test_newtons_method_alone_takes_points_to_a_sphere():
+    """With no bracket to fall back upon; along the gradient, so each stays on its ray."""
+    generator = torch.Generator().manual_seed(0)
+    rays = torch.nn.functional.normalize(torch.randn(20, 3, generator=generator, dtype=torch.float64), dim=1)
+    lengths = 0.4 + 0.2 * torch.rand(20, 1, generator=generator, dtype=torch.float64)
+    moved, arrived, _ = _newton(shapes.sphere(0.5), lengths * rays, 0.2, 1e-12, 20)
+    assert bool(arrived.all())
+    torch.testing.assert_close(moved, 0.5 * rays)
