@@ -205,7 +205,9 @@ def scaled(box, scale):
     return implicit.Box([scale * c for c in box.lower], [scale * c for c in box.upper])
 
 
-@pytest.mark.parametrize("name", ["deepsdf-chairs", "dualsdf-chairs", "imnet-chairs"])
+@pytest.mark.parametrize(
+    "name", ["imnet-chairs", "dualsdf-chairs", pytest.param("deepsdf-chairs", marks=pytest.mark.nightly)]
+)
 def test_when_one_leg_is_shortened_the_other_three_follow(name):
     model = families.bundled(name)
     k, p = middle(model)
@@ -230,7 +232,7 @@ def wing_tip(model, p, side, way):
     return implicit.Handle(implicit.Box((inner, -0.2, -1.0), (outer, 0.2, 1.0)), (way, 0.0, 0.0))
 
 
-@pytest.mark.parametrize("name", ["deepsdf-airplanes", "dualsdf-airplanes"])
+@pytest.mark.parametrize("name", ["deepsdf-airplanes", pytest.param("dualsdf-airplanes", marks=pytest.mark.nightly)])
 def test_when_one_wing_is_lengthened_the_other_follows_and_uneven_wings_are_not_reached(name):
     model = families.bundled(name)
     k, p = middle(model)

@@ -84,7 +84,9 @@ def test_parameters_of_a_lamp_are_lengths_of_its_mesh():
     assert high[0] - low[0] == pytest.approx(2 * max(p["foot_radius"], p["shade_radius"]), abs=0.02)
 
 
-@EVERY
+@pytest.mark.parametrize(
+    "family", [LAMPS, *(pytest.param(family, marks=pytest.mark.nightly) for family in (AIRPLANES, CHAIRS))]
+)
 def test_the_nearest_member_of_a_member_is_itself_from_far_away(family):
     theta, start = family.draw(8)[[2, 5]]
     V, _ = implicit.extract_mesh(family.field(theta), 48)
