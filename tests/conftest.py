@@ -17,7 +17,7 @@ import annotation_check
 import pytest
 from hypothesis import settings
 
-SLOW = 5.0  # processor seconds of a test function with all its parameters
+SLOW = 4.0  # processor seconds of a test function with all its parameters
 WORTH_NOTING = 1.0
 SECONDS_FILE = Path(__file__).with_name("slow_tests.json")
 
