@@ -118,8 +118,7 @@ class PointSensitivities:
     """
 
     def __init__(self, sensitivities: RowFactors) -> None:
-        products = row_products(sensitivities, sensitivities)
-        eigenvalues, vectors = torch.linalg.eigh((products + products.T) / 2)
+        eigenvalues, vectors = torch.linalg.eigh(sensitivities.gram())  # of which it reads the lower triangle
         kept = eigenvalues > LEAST_EIGENVALUE * eigenvalues[-1]
         self._sensitivities = sensitivities
         self._weights = vectors[:, kept] / eigenvalues[kept].sqrt()
