@@ -6,7 +6,7 @@ import copy
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import torch
 from torch import Tensor, nn
@@ -140,7 +140,24 @@ def parametrised_by_code(
     return Parametrisation(evaluator, latent.detach().to(dtype), layout, store, None, notes)
 
 
-class OfModule:
+class _InForm:
+    """A function of theta and points that keeps the form in which they go in and values come out."""
+
+    _form: Form
+
+    def in_form(self, form: Form) -> Self:
+        """Return the same function with points given and values taken in another way."""
+        other = copy.copy(self)
+        other._form = form
+        return other
+
+    @property
+    def form(self) -> Form:
+        """The form in which points go in and values come out."""
+        return self._form
+
+
+class OfModule(_InForm):
     """A module, of which theta holds some parameters or all."""
 
     takes_code = False
@@ -166,17 +183,6 @@ class OfModule:
         named = zip(self._layout, self._places, strict=True)
         return self._frozen(((places, values[block.name]) for block, places in named), *arguments)
 
-    def in_form(self, form: Form) -> OfModule:
-        """Return the same function with points given and values taken in another way."""
-        other = copy.copy(self)
-        other._form = form
-        return other
-
-    @property
-    def form(self) -> Form:
-        """The form in which points go in and values come out."""
-        return self._form
-
     def written(self, theta: Tensor) -> nn.Module:
         """Return a copy of the module with theta written into its parameters."""
         module = Frozen(self.module).function
@@ -192,7 +198,7 @@ class OfModule:
         return OfModule(frozen, self._layout, _frozen_form(self._form, frozen))
 
 
-class OfDecoder:
+class OfDecoder(_InForm):
     """A decoder, of which theta is the latent code; a module, or any function of points and a code."""
 
     takes_code = True
@@ -208,17 +214,6 @@ class OfDecoder:
     def raw(self, theta: Tensor, points: Tensor) -> Any:
         """Return all that the decoder gives."""
         return self._frozen((), *self._form.arguments(points, theta))
-
-    def in_form(self, form: Form) -> OfDecoder:
-        """Return the same function with points given and values taken in another way."""
-        other = copy.copy(self)
-        other._form = form
-        return other
-
-    @property
-    def form(self) -> Form:
-        """The form in which points go in and values come out."""
-        return self._form
 
     def written(self, theta: Tensor) -> nn.Module | None:
         """Return the decoder, which holds nothing of the code."""
