@@ -31,7 +31,7 @@ from torch import Tensor
 from implicit.field.evaluator import Evaluator
 from implicit.field.field import Field
 from implicit.sensitivity.nodes import Adjoint, Here, Moved, Use, added
-from implicit.sensitivity.operands import CONSTANT
+from implicit.sensitivity.operands import CONSTANT, rounding_of_norms
 from implicit.sensitivity.row_factors import Columns, Part, RowFactors, Term
 from implicit.sensitivity.tracing import Steps, steps_of
 
@@ -356,4 +356,5 @@ def _near(found: Tensor, expected: Tensor) -> bool:
     """Return whether all is finite and equal up to rounding."""
     scale = float(expected.abs().max()) if expected.numel() else 0.0
     gap = (found - expected).abs()
-    return bool(torch.isfinite(found).all()) and bool((gap <= TOLERANCES[found.dtype] * scale).all())
+    tolerance = max(TOLERANCES[found.dtype], rounding_of_norms(found))
+    return bool(torch.isfinite(found).all()) and bool((gap <= tolerance * scale).all())
