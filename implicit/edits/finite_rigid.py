@@ -44,7 +44,7 @@ from implicit.step.surface_map import SurfaceMap
 from implicit.surface.even_mesh import even_mesh
 from implicit.surface.projection import newton_to_surface
 from implicit.surface.quadrature import SurfaceSample
-from implicit.surface.soundness import Soundness
+from implicit.surface.soundness import Soundness, fine_cells
 from implicit.surface.topology import Topology, surface_topology
 
 # Vertices of the mesh that carries the energy, unless more points are asked for. Spokes and rims bend the more easily
@@ -144,7 +144,7 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
         if lost:
             own.append("The surface would leave the bounds of the field. Widen the bounds, or move the handles less.")
         edit = replace(_untouched(problem, ended, began), notes=(*notes, *own))
-        return with_evidence(edit, before, problem.resolution)
+        return with_evidence(edit, problem.field, before, problem.resolution)
     edited, following = _followed(problem, surface_map, before.topology, tell)
     own += _following_notes(problem.field, following)
     row = _row(problem, edited, surface_map, minimum, following, seconds_points)
@@ -153,7 +153,7 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
     reached = reached_target(edit) and following.miss_rms <= FOLLOWED * problem.field.size
     reached = reached and following.status is not FitStatus.DIVERGED
     edit = replace(edit, status=edit_status(end.status, reached=reached), notes=(*notes, *own))
-    return with_evidence(edit, before, problem.resolution)
+    return with_evidence(edit, problem.field, before, problem.resolution)
 
 
 def _points(problem: FiniteProblem, surface: WeakSurface, tell: _Teller) -> Minimum:
@@ -261,7 +261,7 @@ def _followed(
 def _has_type(field: Field, wanted: Topology, resolution: int) -> bool:
     """Return whether a field's surface can be meshed, into as many pieces with as many handles."""
     try:
-        return surface_topology(field, resolution).same_type(wanted)
+        return surface_topology(field, fine_cells(resolution)).same_type(wanted)
     except SurfaceError:
         return False
 

@@ -101,7 +101,7 @@ def geometric_edit(
         asked=lambda points, normals: _target_and_directions(targets_of(points, normals)),
         progress=progress,
     )
-    return with_evidence(carrying.judged(edit), before, resolution)
+    return with_evidence(carrying.judged(edit), field, before, resolution)
 
 
 def _target_and_directions(targets: SummedTargets) -> tuple[Tensor, Tensor]:

@@ -203,7 +203,7 @@ def rigid_edit(
         wanted=target,
         notes=(*choice.notes, *edit.notes, *operation.notes(precise)),
     )
-    return with_evidence(edit, before, resolution)
+    return with_evidence(edit, field, before, resolution)
 
 
 def _mesh_cells(field: Field, sample: SurfaceSample, settings: RigidSettings) -> int | None:

@@ -16,7 +16,7 @@ from implicit.step.problem import Row
 from implicit.surface.extraction import SurfaceError, require_resolution
 from implicit.surface.projection import newton_to_surface
 from implicit.surface.quadrature import SurfaceSample, require_sample
-from implicit.surface.soundness import Soundness, changes, field_soundness
+from implicit.surface.soundness import Soundness, changes, confirmed, field_soundness, has_changed
 
 Progress = Callable[[int, int, Row], None]
 Asked = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
@@ -60,6 +60,10 @@ class EditStatus(Enum):
     SURFACE_LOST = "Stopped before a step after which the surface would vanish or leave the bounds of the field."
     CONSTRAINT_NOT_HELD = "Stopped before a step after which a constraint could not be restored to its tolerance."
     STRAY_PIECES = "All steps were taken, but stray pieces of surface have appeared; see the notes."
+    TOPOLOGY_CHANGED = (
+        "All steps were taken, but pieces of the surface have merged or vanished, or handles have opened or closed; "
+        "see the notes."
+    )
     UNSTABLE = "Stopped because the steps grew beyond what a linear prediction holds for; take smaller steps."
 
 
@@ -145,7 +149,13 @@ class Edit:
 
 
 def edit_status(
-    ended: EditStatus, *, reached: bool = True, followed: bool = True, meshed: bool = True, more_pieces: bool = False
+    ended: EditStatus,
+    *,
+    reached: bool = True,
+    followed: bool = True,
+    meshed: bool = True,
+    more_pieces: bool = False,
+    other_type: bool = False,
 ) -> EditStatus:
     """Return how an edit ended: the one place where that is decided.
 
@@ -157,6 +167,7 @@ def edit_status(
         followed: Whether the surface moved as a flow asked.
         meshed: Whether the edited field's surface can be meshed.
         more_pieces: Whether that has more pieces than before, where none was to appear.
+        other_type: Whether it has fewer pieces, or other handles, than before.
     """
     if not meshed:
         return EditStatus.STRAY_PIECES
@@ -168,6 +179,8 @@ def edit_status(
         return EditStatus.NOT_FOLLOWED
     if ended is EditStatus.DONE and more_pieces:
         return EditStatus.STRAY_PIECES
+    if ended is EditStatus.DONE and other_type:
+        return EditStatus.TOPOLOGY_CHANGED
     return ended
 
 
@@ -182,11 +195,12 @@ def reached_target(edit: Edit) -> bool:
     return bool((error[targeted] * edit.weights[targeted].sqrt()).norm() <= allowed)
 
 
-def with_evidence(edit: Edit, before: Soundness, resolution: int) -> Edit:
+def with_evidence(edit: Edit, field: Field, before: Soundness, resolution: int) -> Edit:
     """Return the edit with how sound its field was and is, in numbers and in words.
 
     Args:
-        before: Of the field at the start.
+        field: At the start.
+        before: How sound it was.
         resolution: Cells along the longest side of the bounds.
     """
     try:
@@ -194,5 +208,7 @@ def with_evidence(edit: Edit, before: Soundness, resolution: int) -> Edit:
     except SurfaceError as error:
         notes = (*edit.notes, f"The edited field cannot be meshed as it is: {error}")
         return replace(edit, before=before, notes=notes, status=edit_status(edit.status, meshed=False))
-    status = edit_status(edit.status, more_pieces=after.pieces > before.pieces)
+    before, after = confirmed(before, after, (field, edit.field), resolution)
+    more, other = after.pieces > before.pieces, has_changed(before, after)
+    status = edit_status(edit.status, more_pieces=more, other_type=other)
     return replace(edit, before=before, after=after, notes=(*edit.notes, *changes(before, after)), status=status)

@@ -160,7 +160,7 @@ def test_a_piece_of_surface_that_appears_is_reported():
     assert (edit.before.topology.components, edit.after.topology.components) == (1, 1)
     assert edit.after.slope_median == pytest.approx(1.0, abs=1e-6)
     two = shapes.smooth_union(ball, shapes.sphere(radius=0.1, center=(0.6, 0, 0)), blend=0.01)
-    stray = with_evidence(replace(edit, field=two), edit.before, 48)
+    stray = with_evidence(replace(edit, field=two), ball, edit.before, 48)
     assert stray.status is EditStatus.STRAY_PIECES
     assert "2 pieces" in stray.notes[0]
 

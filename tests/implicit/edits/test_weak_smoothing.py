@@ -147,23 +147,26 @@ def volume_of(surface):
 
 
 @pytest.mark.skipif(not FIELDS.is_dir(), reason="the fields of ../shared/data are not here")
-def test_a_relu_network_trained_elsewhere_loses_area_as_its_mesh_does():
-    """fox, 7 x 32: three steps with the volume held, or ten if all is asked for, within 5 % of the flow of its mesh.
+@pytest.mark.parametrize("name", ["fox", pytest.param("hammer", marks=pytest.mark.nightly)])
+def test_a_relu_network_trained_elsewhere_loses_area_as_its_mesh_does(name):
+    """fox 7 x 32, hammer 8 x 64: three steps with the volume held, or ten, within 5 % of the flow of its mesh.
 
-    48 cells resolve its thin parts; at 32 their area comes and goes with the cells, and the edit says NOT_FOLLOWED.
+    48 cells resolve the fox's thin parts; at 32 their area comes and goes with the cells, and the edit says
+    NOT_FOLLOWED.
     """
-    field, resolution, steps = fox(), 48, 10 if FULL else 3
+    field, resolution, steps = trained_elsewhere(name), 48, 10 if FULL else 3
     step = 1e-4 * float(surface_quadrature(field, resolution).weights.sum())
     held = Holding(resolution=resolution, fine_resolution=resolution)
     edit = smooth(field, steps=steps, step_size=step, constraints=(Volume(),), holding=held)
     begin, end, mesh = areas_of(field, edit.field, resolution, step, steps)
+    print(f"{name}, {steps} steps: area {begin:.4f} to {end:.4f}, of the mesh {mesh:.4f}")
     assert edit.status is EditStatus.DONE
     assert end == pytest.approx(mesh, rel=0.05)
-    assert end < 0.9 * begin
+    assert begin - end > 0.9 * (begin - mesh)
 
 
-def fox():
-    with np.load(FIELDS / "fox.npz") as file:
+def trained_elsewhere(name):
+    with np.load(FIELDS / f"{name}.npz") as file:
         names = sorted(name.removesuffix(".A") for name in file.files if name.endswith("dense.A"))
         layers = []
         for name in names:

@@ -1,12 +1,14 @@
 """How an edit ended, and how far it is from its target."""
 
 import itertools
+from dataclasses import replace
 
 import pytest
 import torch
 
 from implicit import Edit, EditStatus, sample_surface, shapes
-from implicit.evolve.edit import edit_status, reached_target
+from implicit.evolve.edit import edit_status, reached_target, with_evidence
+from implicit.surface.soundness import field_soundness
 
 FAILURES = [
     EditStatus.NOT_FINITE,
@@ -25,6 +27,9 @@ FAILURES = [
         (EditStatus.REACHED, {"reached": False}, EditStatus.NOT_REACHED),
         (EditStatus.DONE, {"more_pieces": True}, EditStatus.STRAY_PIECES),
         (EditStatus.REACHED, {"more_pieces": True}, EditStatus.REACHED),
+        (EditStatus.DONE, {"other_type": True}, EditStatus.TOPOLOGY_CHANGED),
+        (EditStatus.DONE, {"other_type": True, "more_pieces": True}, EditStatus.STRAY_PIECES),
+        (EditStatus.NOT_REACHED, {"other_type": True}, EditStatus.NOT_REACHED),
         (EditStatus.DONE, {"reached": False, "more_pieces": True}, EditStatus.NOT_REACHED),
         (EditStatus.NOT_REACHED, {"more_pieces": True}, EditStatus.NOT_REACHED),
     ],
@@ -50,6 +55,16 @@ def test_facts_may_be_told_one_after_the_other(ended):
     for reached, meshed, more in itertools.product((True, False), repeat=3):
         later = edit_status(edit_status(ended, reached=reached), meshed=meshed, more_pieces=more)
         assert later is edit_status(ended, reached=reached, meshed=meshed, more_pieces=more)
+
+
+def test_a_hole_that_closed_is_the_status_of_an_edit():
+    """Nothing that was asked is missed, but where there was a torus is a ball now."""
+    torus, closed = shapes.torus(R=0.4, r=0.2), shapes.sphere(0.5)
+    edit = replace(grown(0.0, 0.0), field=closed)
+    judged = with_evidence(edit, torus, field_soundness(torus), 48)
+    assert judged.status is EditStatus.TOPOLOGY_CHANGED
+    assert "from 0 to 2" in judged.notes[0]
+    assert with_evidence(edit, closed, field_soundness(closed), 48).status is EditStatus.DONE
 
 
 def grown(asked, achieved):

@@ -3,7 +3,7 @@
 import pytest
 
 from implicit import shapes
-from implicit.surface.soundness import changes, field_soundness
+from implicit.surface.soundness import changes, confirmed, field_soundness
 
 
 @pytest.mark.parametrize("scale", [1.0, 5.0])
@@ -39,3 +39,20 @@ def test_a_curve_has_pieces_too():
     found = field_soundness(shapes.circle(radius=0.5))
     assert found.pieces == 1
     assert found.slope_median == pytest.approx(1.0, rel=1e-9)
+
+
+def test_pieces_closer_than_a_cell_of_the_resolution_are_told_apart():
+    """A gap of 0.03 between balls, where a cell of 48 a side is 0.042 wide: marching cubes bridges it there."""
+    balls = [shapes.sphere(radius=0.3, center=(sign * 0.315, 0, 0)) for sign in (-1, 1)]
+    field = shapes.smooth_union(*balls, blend=1e-4)
+    assert (field_soundness(field, 48).pieces, field_soundness(field, 48).topology.euler) == (2, 4)
+
+
+def test_what_differs_on_coarse_cells_alone_is_no_change():
+    """The same, seen on 12 x FINER cells as one piece: against that, the confirmed answer is two of both."""
+    balls = [shapes.sphere(radius=0.3, center=(sign * 0.315, 0, 0)) for sign in (-1, 1)]
+    field = shapes.smooth_union(*balls, blend=1e-4)
+    coarse, fine = field_soundness(field, 8), field_soundness(field, 24)
+    assert (coarse.pieces, fine.pieces) == (1, 2)
+    before, after = confirmed(coarse, fine, (field, field), 24)
+    assert before.pieces == after.pieces == 2
