@@ -1,6 +1,7 @@
 """Rigid edits of any size: the energy of finite rotations is minimised on points, and the field then follows them.
 
-    points    spokes and rims of a mesh of the field's own surface, against the rest shape (implicit.step.local_global)
+    points    spokes and rims of a mesh of the field's own surface, in the plane of its inside, against the rest shape
+              (implicit.edits.rest_shape, implicit.step.local_global)
     field     trained on samples of the map that the points give, from the best rigid placement
               (implicit.fitting.follow)
     end       steps of boundary sensitivity in the metric of that energy, functionals restored
@@ -19,9 +20,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from jaxtyping import Float
+from scipy import sparse
 from torch import Tensor
 
 from implicit.edits.handles import Handle
+from implicit.edits.rest_shape import RestShape
 from implicit.edits.rigid_placement import Placement
 from implicit.edits.targets import AveragedTargets
 from implicit.edits.towards_points import TowardsPoints
@@ -35,13 +38,10 @@ from implicit.fitting.follow import FOLLOWED, Follower, Following
 from implicit.fitting.training import FitStatus
 from implicit.sensitivity.moved_as_a_whole import moved_as_a_whole
 from implicit.sensitivity.shape_functionals import Functional, Volume
-from implicit.sensitivity.weak_curvature import FloatArray, WeakSurface
-from implicit.step.enclosed_volume import EnclosedVolume
+from implicit.sensitivity.weak_curvature import FloatArray
 from implicit.step.local_global import Hold, LocalGlobal, Minimum, MinimumStatus
 from implicit.step.problem import Row
-from implicit.step.spokes_and_rims import SpokesAndRims
 from implicit.step.surface_map import SurfaceMap
-from implicit.surface.even_mesh import even_mesh
 from implicit.surface.projection import newton_to_surface
 from implicit.surface.quadrature import SurfaceSample
 from implicit.surface.soundness import Soundness, fine_cells
@@ -133,12 +133,12 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
     """
     began = time.perf_counter()
     tell = _Teller(problem.progress)
-    surface = WeakSurface.of(*even_mesh(problem.precise, problem.vertices))
-    minimum = _points(problem, surface, tell)
-    surface_map = SurfaceMap(surface, minimum.positions, minimum.rotations)
+    rest = RestShape.of(problem.precise, problem.vertices)
+    minimum = _points(problem, rest, tell)
+    surface_map = rest.map_to(minimum)
     own = [_minimum_note(minimum)] if minimum.status is not MinimumStatus.CONVERGED else []
     seconds_points = time.perf_counter() - began
-    if minimum.status is MinimumStatus.NOT_FINITE or not _stays_inside(problem.precise, minimum.positions):
+    if minimum.status is MinimumStatus.NOT_FINITE or not _stays_inside(problem.precise, surface_map.moved):
         lost = minimum.status is not MinimumStatus.NOT_FINITE
         ended = EditStatus.SURFACE_LOST if lost else EditStatus.NOT_FINITE
         if lost:
@@ -148,7 +148,7 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
     edited, following = _followed(problem, surface_map, before.topology, tell)
     own += _following_notes(problem.field, following)
     row = _row(problem, edited, surface_map, minimum, following, seconds_points)
-    end = _polished(problem, edited, surface_map, before.topology, row)
+    end = _polished(problem, edited, surface_map, rest.laplacian, before.topology, row)
     edit = _edit(problem, surface_map, end, began)
     reached = reached_target(edit) and following.miss_rms <= FOLLOWED * problem.field.size
     reached = reached and following.status is not FitStatus.DIVERGED
@@ -156,28 +156,29 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
     return with_evidence(edit, problem.field, before, problem.resolution)
 
 
-def _points(problem: FiniteProblem, surface: WeakSurface, tell: _Teller) -> Minimum:
-    """Return the deformation of the mesh of least energy."""
+def _points(problem: FiniteProblem, rest: RestShape, tell: _Teller) -> Minimum:
+    """Return the deformation of least energy."""
+    surface = rest.surface
     vertices = torch.from_numpy(surface.vertices).to(problem.precise.theta)
     targets = AveragedTargets(problem.handles, vertices, torch.from_numpy(surface.normals).to(vertices))
     targets.require_points_in_each_region()
     weights = targets.weights.cpu().numpy()
     soft = np.where(weights < 1, KILLING_SHARE * problem.alpha * surface.masses * weights, 0.0)
-    hold = Hold(weights >= 1, soft)
-    solver = LocalGlobal(SpokesAndRims(surface.vertices, surface.faces), hold)
+    hold = Hold(rest.spread((weights >= 1).astype(np.float64)) > 0, rest.spread(soft))
+    solver = LocalGlobal(rest.energy, hold, rest.volume)
     stages = max(problem.steps, min(MOST_STAGES, round(turning(targets) / STAGE_ANGLE)), 1)
 
     def minimum(volume: float | None) -> Minimum:
         return solver.minimum(
-            lambda fraction: targets.positions(fraction).cpu().numpy(),
-            surface.vertices,
+            lambda fraction: rest.spread(targets.positions(fraction).cpu().numpy()),
+            rest.energy.vertices,
             stages=stages,
             tolerance=TOLERANCE,
             volume=volume,
             report=tell.points,
         )
 
-    held, bound = _volume(problem, surface)
+    held, bound = _volume(problem, rest)
     if held is None or bound == "equal":
         return minimum(held)
     free = minimum(None)
@@ -186,11 +187,11 @@ def _points(problem: FiniteProblem, surface: WeakSurface, tell: _Teller) -> Mini
     return minimum(held) if broken else free
 
 
-def _volume(problem: FiniteProblem, surface: WeakSurface) -> tuple[float | None, str]:
+def _volume(problem: FiniteProblem, rest: RestShape) -> tuple[float | None, str]:
     """Return the volume that the mesh is to hold, and on which side; of other functionals the end takes care."""
     for functional in problem.constraints:
         if type(functional) is Volume:
-            own = EnclosedVolume(surface.faces, len(surface.vertices)).value(surface.vertices)
+            own = rest.volume.value(rest.energy.vertices)
             if functional.target is None:
                 return own, functional.bound
             # The mesh lies within its surface: what it encloses is in proportion.
@@ -225,7 +226,7 @@ def _rotation(before: Tensor, after: Tensor, which: Tensor) -> Tensor:
 
 
 def _angle(rotation: Tensor) -> float:
-    return float(torch.arccos(((rotation.trace() - 1) / 2).clamp(-1, 1)))
+    return float(torch.arccos(((rotation.trace() - (len(rotation) - 2)) / 2).clamp(-1, 1)))
 
 
 def _stays_inside(field: Field, positions: FloatArray) -> bool:
@@ -287,13 +288,19 @@ class _End:
     status: EditStatus
 
 
-def _polished(problem: FiniteProblem, field: Field, surface_map: SurfaceMap, rest: Topology, row: Row) -> _End:
+def _polished(
+    problem: FiniteProblem,
+    field: Field,
+    surface_map: SurfaceMap,
+    laplacian: sparse.csc_array,
+    rest: Topology,
+    row: Row,
+) -> _End:
     """Return the field nearer to the least energy, with the functionals at their targets."""
     held = ConstraintSet.of(problem.precise, problem.constraints, Holding(resolution=problem.resolution), tuple(row))
     goals = torch.from_numpy(surface_map.moved).to(field.theta)
     masses = torch.from_numpy(surface_map.rest.masses).to(field.theta)
-    energy = SpokesAndRims(surface_map.rest.vertices, surface_map.rest.faces)
-    operation = TowardsPoints(goals, masses, energy.laplacian, problem.seed)
+    operation = TowardsPoints(goals, masses, laplacian, problem.seed)
     loop = Loop(operation, held, changing=False)
     left = operation.left(field)
     state = loop.start(field, SurfaceSample(left.points, left.normals, masses), None)
@@ -408,7 +415,7 @@ def _row(
         "rank": nan,
         "damping": 0.0,
         "method": "finite rotations",
-        "largest_motion": float(np.linalg.norm(minimum.positions - surface_map.rest.vertices, axis=1).max()),
+        "largest_motion": float(np.linalg.norm(surface_map.moved - surface_map.rest.vertices, axis=1).max()),
         "linearity_error": nan,
         "d_theta_norm": float((edited.theta - problem.precise.theta).norm()),
         "points_lost": 0,

@@ -107,7 +107,9 @@ def rigid_edit(
     """Move handles and let the rest follow rigidly.
 
     Args:
-        field: A field in 3D; the caller's own stays as it is until `edit.field.write_back()`.
+        field: A field in 2D or 3D; the caller's own stays as it is until `edit.field.write_back()`. In the plane the
+            inside of the curve is deformed, always by finite rotations (implicit.step.planar_rigidity), and Volume()
+            holds its area.
         handles: Regions with their motions, anchors among them as zero vectors. Weights scale the penalty.
         method: "linear" takes steps that are linear, by a Killing energy; "finite" minimises the energy of finite
             rotations against the rest shape and lets the field follow (implicit.edits.finite_rigid), for motions of
@@ -141,8 +143,9 @@ def rigid_edit(
         are too few to see the strain.
 
     Raises:
-        ValueError: The field is not 3D, a region misses the surface, the handles leave a rigid motion free (fewer than
-            three points that are not on one line), or a thickness is asked of a field without second derivatives.
+        ValueError: Linear steps are asked of a field in 2D, a region misses the surface, the handles leave a rigid
+            motion free (fewer than three points that are not on one line; two, in the plane), or a thickness is asked
+            of a field without second derivatives.
     """
     require_options(field, damping=damping, resolution=resolution, progress=progress, seed=seed)
     constraints = checked_constraints(constraints)
@@ -157,17 +160,24 @@ def rigid_edit(
         off_surface_strength=off_surface_strength,
         seed=seed,
     )
-    operation = prepare(precise, handles, settings, tangential, points)
-    sample, target, whole = operation.sample, operation.targets.target(), operation.placement(1.0)
+    planar = precise.dimension == 2
+    if planar:
+        method = _in_the_plane(method)
+        sample, targets = _carried(precise, handles, points, seed)
+    else:
+        operation = prepare(precise, handles, settings, tangential, points)
+        sample, targets = operation.sample, operation.targets
+    whole = placement(sample, targets, 1.0)
+    options = linear_options(settings, tangential)
+    choice = chosen(method, sample, targets, whole, len(field.theta), options)
     before = field_soundness(field, resolution)
-    choice = chosen(method, sample, operation.targets, whole, len(field.theta), linear_options(settings, tangential))
     if choice.finite:
         finite = FiniteProblem(
             field=field,
             precise=precise,
             handles=checked_handles(handles),
             sample=sample,
-            targets=operation.targets,
+            targets=targets,
             track=tracked,
             constraints=constraints,
             steps=steps,
@@ -178,6 +188,22 @@ def rigid_edit(
             seed=seed,
         )
         return finite_rigid_edit(finite, before, choice.notes)
+    edit = _by_linear_steps(precise, operation, constraints, resolution, tracked, progress)
+    edit = replace(edit, field=edit.field.to(field.dtype), notes=(*choice.notes, *edit.notes))
+    return with_evidence(edit, field, before, resolution)
+
+
+def _by_linear_steps(
+    precise: Field,
+    operation: RigidOperation,
+    constraints: Sequence[Functional],
+    resolution: int,
+    tracked: Float[Tensor, "m d"] | None,
+    progress: Progress | None,
+) -> Edit:
+    """Return the edit by linear steps from the best rigid placement, in float64, without its evidence."""
+    sample, settings = operation.sample, operation.settings
+    target, whole = operation.targets.target(), operation.placement(1.0)
     operation = replace(operation, mesh_cells=_mesh_cells(precise, sample, settings))
     if _can_be_placed(precise, whole, sample, constraints):
         start, operation = whole.field(precise), replace(operation, begin=whole)
@@ -187,23 +213,51 @@ def rigid_edit(
         start,
         operation,
         whole.sample(sample),
-        steps=steps,
+        steps=settings.steps,
         constraints=constraints,
         resolution=resolution,
         track=None if tracked is None else whole.at(tracked),
         wanted=target + sample.points - whole.at(sample.points),
         progress=progress,
     )
-    edit = replace(
+    return replace(
         edit,
-        field=edit.field.to(field.dtype),
         points=sample.points,
         normals=sample.normals,
         displacement=edit.points + edit.displacement - sample.points,
         wanted=target,
-        notes=(*choice.notes, *edit.notes, *operation.notes(precise)),
+        notes=(*edit.notes, *operation.notes(precise)),
     )
-    return with_evidence(edit, field, before, resolution)
+
+
+def _in_the_plane(method: Method) -> Method:
+    """Return the way of a planar edit, or refuse one that there is not."""
+    if method == "linear":
+        raise ValueError(
+            'method must be "auto" or "finite" for a field in 2 dimensions, but is "linear": linear steps strain the '
+            "curve along itself alone, and do not see how it bends. Finite rotations deform the inside."
+        )
+    return "finite" if method == "auto" else method
+
+
+def _carried(
+    precise: Field, handles: Sequence[Handle], points: int | SurfaceSample, seed: int
+) -> tuple[SurfaceSample, AveragedTargets]:
+    """Return the points that carry an edit, and what the handles ask of them."""
+    handles = checked_handles(handles)
+    points = points.to(torch.float64) if isinstance(points, SurfaceSample) else points
+    sample = carrying_points(precise, points, "farthest", seed=seed)
+    targets = AveragedTargets(handles, sample.points, sample.normals)
+    targets.require_points_in_each_region()
+    _require_rigid_motion_fixed(sample.points[targets.prescribed])
+    return sample, targets
+
+
+def placement(sample: SurfaceSample, targets: AveragedTargets, fraction: float) -> Placement:
+    """Return the rigid motion that takes the held points nearest to their targets after the fraction of their path."""
+    held = targets.prescribed
+    weights = (sample.weights * targets.total)[held]
+    return Placement.fitting(sample.points[held], targets.positions(fraction)[held], weights)
 
 
 def _mesh_cells(field: Field, sample: SurfaceSample, settings: RigidSettings) -> int | None:
@@ -270,7 +324,6 @@ def prepare(
     """
     if require_field(precise).dimension != 3:
         raise ValueError(f"rigid_edit needs a field in 3 dimensions, but this one has {precise.dimension}.")
-    handles = checked_handles(handles)
     if tangential is not None and not callable(getattr(tangential, "slopes", None)):
         raise TypeError(f"tangential must be None or a model such as CosineFeatures(field), but is {tangential!r}.")
     if _combinations(precise) == 0:
@@ -279,12 +332,8 @@ def prepare(
             f"such a field takes up to {NUMBERS // FEWEST_COMBINATIONS:,}. Edit some of them alone, such as those of "
             "the last layers: Field(module, parameters=[...])."
         )
-    points = points.to(torch.float64) if isinstance(points, SurfaceSample) else points
-    sample = carrying_points(precise, points, "farthest", seed=settings.seed)
+    sample, targets = _carried(precise, handles, points, settings.seed)
     model = CosineFeatures(precise, seed=settings.seed) if tangential is None else tangential
-    targets = AveragedTargets(handles, sample.points, sample.normals)
-    targets.require_points_in_each_region()
-    _require_rigid_motion_fixed(sample.points[targets.prescribed])
     return RigidOperation(sample, targets, settings, model)
 
 
@@ -313,9 +362,7 @@ class RigidOperation:
 
     def placement(self, fraction: float) -> Placement:
         """Return the rigid motion that takes the held points nearest to their targets after the fraction."""
-        held = self.targets.prescribed
-        weights = (self.sample.weights * self.targets.total)[held]
-        return Placement.fitting(self.sample.points[held], self.targets.positions(fraction)[held], weights)
+        return placement(self.sample, self.targets, fraction)
 
     def _path(self, fraction: float) -> Tensor:
         """Return where the points are to be after the fraction of what the loop has left to do."""
@@ -402,10 +449,12 @@ def _combinations(field: Field) -> int | None:
 
 
 def _require_rigid_motion_fixed(points: Tensor) -> None:
-    """Refuse points on one line: three off it pin all six rigid motions, fewer leave the least squares singular."""
-    spread = torch.linalg.svdvals((points - points.mean(dim=0)).double()) if len(points) >= 3 else None
-    if spread is None or not bool(spread[1] > 1e-6 * spread[0]):
+    """Refuse points on one line: three off it pin all rigid motions in space, two that differ those in the plane."""
+    planar = points.shape[1] == 2
+    spread = torch.linalg.svdvals((points - points.mean(dim=0)).double()) if len(points) >= 3 - planar else None
+    if spread is None or not bool(spread[0] > 0 if planar else spread[1] > 1e-6 * spread[0]):
+        needed = "at least two that differ" if planar else "at least three that are not on one line"
         raise ValueError(
-            f"The handles hold {len(points)} sample points, which do not fix a rigid motion: at least three that are "
-            "not on one line are needed. Widen the regions, add an anchor, or raise points."
+            f"The handles hold {len(points)} sample points, which do not fix a rigid motion: {needed} are needed. "
+            "Widen the regions, add an anchor, or raise points."
         )

@@ -22,22 +22,23 @@ from implicit.surface.quadrature import SurfaceSample
 class Placement:
     """Rigid motion x -> R x + t."""
 
-    rotation: Float[Tensor, "3 3"]
-    translation: Float[Tensor, " 3"]
+    rotation: Float[Tensor, "d d"]
+    translation: Float[Tensor, " d"]
 
     @classmethod
     def none(cls, like: Tensor) -> Placement:
         """Return the motion that leaves all where it is."""
-        return cls(torch.eye(3).to(like), torch.zeros(3).to(like))
+        D = like.shape[-1]
+        return cls(torch.eye(D).to(like), torch.zeros(D).to(like))
 
     @classmethod
     def fitting(
-        cls, start: Float[Tensor, "n 3"], target: Float[Tensor, "n 3"], weights: Float[Tensor, " n"]
+        cls, start: Float[Tensor, "n d"], target: Float[Tensor, "n d"], weights: Float[Tensor, " n"]
     ) -> Placement:
         """Return the rigid motion that takes points nearest to their targets in the weighted mean square [Kabsch 1976].
 
         Args:
-            start, target: Positions before and after (N, 3).
+            start, target: Positions before and after (N, D).
             weights: Weight of each point in the mean (N,).
         """
         share = weights / weights.sum()
@@ -48,12 +49,12 @@ class Placement:
         rotation = (U * turn) @ Vt
         return cls(rotation, b - rotation @ a)
 
-    def at(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
-        """Return the points moved (N, 3)."""
+    def at(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
+        """Return the points moved (N, D)."""
         return points @ self.rotation.T + self.translation
 
-    def undone(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
-        """Return the points moved back (N, 3)."""
+    def undone(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
+        """Return the points moved back (N, D)."""
         return (points - self.translation) @ self.rotation
 
     def sample(self, sample: SurfaceSample) -> SurfaceSample:

@@ -86,7 +86,7 @@ def carried_samples(
     lengths = field.gradient_length(slopes)
     normals = (slopes / lengths[:, None]).double().cpu().numpy()
     y, turned = surface_map.at(foot), surface_map.turned(foot, normals)
-    off = OUTSIDE * (float(surface_map.rest.contents.sum()) / len(y)) ** 0.5
+    off = OUTSIDE * (float(surface_map.rest.contents.sum()) / len(y)) ** (1 / (field.dimension - 1))
     before = _Space(cKDTree(foot.points), foot.points, normals, field.size)
     space = _Space(cKDTree(y), y, turned, field.size)
     away = max(1, round(PART_AWAY * len(y)))
@@ -129,8 +129,12 @@ def _drawn(field: Field, surface_map: SurfaceMap, count: int, generator: np.rand
     # One in each of as many equal strips of the area: even, and no triangle is left out by chance.
     strips = (np.arange(count) + generator.uniform(size=count)) / count
     faces = np.minimum(np.searchsorted(np.cumsum(rest.contents) / rest.contents.sum(), strips), len(rest.faces) - 1)
-    root, second = np.sqrt(generator.uniform(size=count)), generator.uniform(size=count)
-    shares = np.stack([1 - root, root * (1 - second), root * second], axis=1)
+    first, second = generator.uniform(size=count), generator.uniform(size=count)
+    if field.dimension == 2:
+        shares = np.stack([1 - first, first], axis=1)
+    else:
+        root = np.sqrt(first)
+        shares = np.stack([1 - root, root * (1 - second), root * second], axis=1)
     on_mesh = np.einsum("nk,nkd->nd", shares, rest.vertices[rest.faces[faces]])
     start = torch.from_numpy(on_mesh).to(field.theta)
     found, arrived = newton_to_surface(field, start, reach=2 * rest.width, tolerance=1e-6 * field.size)

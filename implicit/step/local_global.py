@@ -25,6 +25,7 @@ from scipy.sparse.linalg import splu
 
 from implicit.sensitivity.weak_curvature import FloatArray
 from implicit.step.enclosed_volume import EnclosedVolume
+from implicit.step.planar_rigidity import EnclosedArea
 from implicit.step.rotations import best_rotations
 from implicit.step.spokes_and_rims import SpokesAndRims
 
@@ -91,11 +92,12 @@ class LocalGlobal:
     Args:
         energy: Of the deformation.
         hold: What is asked of which vertices.
+        volume: What is held where a volume is; None takes that inside the mesh.
     """
 
-    def __init__(self, energy: SpokesAndRims, hold: Hold) -> None:
+    def __init__(self, energy: SpokesAndRims, hold: Hold, volume: EnclosedVolume | EnclosedArea | None = None) -> None:
         self._energy = energy
-        self.volume = EnclosedVolume(energy.faces, len(energy.vertices))
+        self.volume = EnclosedVolume(energy.faces, len(energy.vertices)) if volume is None else volume
         self._size = float(np.ptp(energy.vertices, axis=0).max())
         asked = hold.held | (hold.pulls > 0)
         _, piece = csgraph.connected_components(abs(energy.laplacian), directed=False)

@@ -36,14 +36,14 @@ class RigidityTarget:
     """The energy of what is left between a field's surface and the positions of least energy.
 
     Attributes:
-        points: Vertices on the field's surface (V, 3).
-        normals: Outward unit normals there (V, 3).
+        points: Vertices on the field's surface (V, D).
+        normals: Outward unit normals there (V, D).
         gaps: How far outward each is to go (V,), a length.
         laplacian: L of the energy (V, V).
     """
 
-    points: Float[Tensor, "v 3"]
-    normals: Float[Tensor, "v 3"]
+    points: Float[Tensor, "v d"]
+    normals: Float[Tensor, "v d"]
     gaps: Float[Tensor, " v"]
     laplacian: sparse.csc_array
 

@@ -483,7 +483,7 @@ def _of_edits() -> Iterator[BadCase]:
         yield from refusals("rigid_edit", name, not_negatives(), _rigid(name))
     yield from refusals("rigid_edit", "tangential", [("a word", "cosines"), ("a number", 3)], _rigid("tangential"))
     yield from refusals(
-        "rigid_edit", "field", [("in the plane", CIRCLE)], lambda f: implicit.rigid_edit(f, [HANDLE]), "3 dimensions"
+        "rigid_edit", "field", [("in the plane", CIRCLE)], lambda f: implicit.rigid_edit(f, [HANDLE]), "in 3 dimensions"
     )
     small = implicit.Handle(implicit.Ball(POINTS[0], 0.01), (0.1, 0.0, 0.0))
     yield BadCase(

@@ -13,7 +13,6 @@ from implicit import (
     Volume,
     rigid_edit,
     sample_surface,
-    shapes,
     surface_quadrature,
 )
 from implicit.edits import rigid
@@ -168,11 +167,6 @@ def test_handles_on_one_line_are_refused(wobbly):
 
     with pytest.raises(ValueError, match="not on one line"):
         rigid_edit(wobbly, [Handle(region, (0.1, 0, 0))], points=sample)
-
-
-def test_a_curve_is_refused():
-    with pytest.raises(ValueError, match="3 dimensions"):
-        rigid_edit(shapes.circle(0.5), [])
 
 
 def some_points(count=20):
