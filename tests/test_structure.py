@@ -41,8 +41,8 @@ MORE_ARGUMENTS = {
     # Every edit takes the field, points, damping, constraints, resolution, track, progress and seed: eight.
     "implicit/edits/geometric.py::geometric_edit": (13, "the eight, two for the target, three for how it is reached"),
     "implicit/edits/rigid.py::rigid_edit": (
-        16,
-        "the eight, the method, and a weight for each of the four terms of the energy",
+        17,
+        "the eight, the method, the shape at rest, and a weight for each of the four terms of the energy",
     ),
     "implicit/edits/smoothing.py::smooth": (
         19,

@@ -24,7 +24,6 @@ from scipy import sparse
 from torch import Tensor
 
 from implicit.edits.handles import Handle
-from implicit.edits.rest_shape import RestShape
 from implicit.edits.rigid_placement import Placement
 from implicit.edits.targets import AveragedTargets
 from implicit.edits.towards_points import TowardsPoints
@@ -41,6 +40,7 @@ from implicit.sensitivity.shape_functionals import Functional, Volume
 from implicit.sensitivity.weak_curvature import FloatArray
 from implicit.step.local_global import Hold, LocalGlobal, Minimum, MinimumStatus
 from implicit.step.problem import Row
+from implicit.step.rest_shape import Deformation, RestShape
 from implicit.step.surface_map import SurfaceMap
 from implicit.surface.projection import newton_to_surface
 from implicit.surface.quadrature import SurfaceSample
@@ -103,6 +103,7 @@ class FiniteProblem:
         resolution: Cells of the evidence and of the quadrature of the functionals.
         progress: Called with step, steps and a row.
         seed: Of the random samples.
+        start: Deformation that the field shows, of a shape at rest; None takes the field itself for that.
     """
 
     field: Field
@@ -118,6 +119,7 @@ class FiniteProblem:
     resolution: int
     progress: Progress | None
     seed: int
+    start: Deformation | None = None
 
 
 def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence[str] = ()) -> Edit:
@@ -133,9 +135,9 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
     """
     began = time.perf_counter()
     tell = _Teller(problem.progress)
-    rest = RestShape.of(problem.precise, problem.vertices)
-    minimum = _points(problem, rest, tell)
-    surface_map = rest.map_to(minimum)
+    start = problem.start or Deformation.none(RestShape.of(problem.precise, problem.vertices))
+    minimum = _points(problem, start, tell)
+    surface_map = start.map_to(minimum)
     own = [_minimum_note(minimum)] if minimum.status is not MinimumStatus.CONVERGED else []
     seconds_points = time.perf_counter() - began
     if minimum.status is MinimumStatus.NOT_FINITE or not _stays_inside(problem.precise, surface_map.moved):
@@ -148,17 +150,22 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
     edited, following = _followed(problem, surface_map, before.topology, tell)
     own += _following_notes(problem.field, following)
     row = _row(problem, edited, surface_map, minimum, following, seconds_points)
-    end = _polished(problem, edited, surface_map, rest.laplacian, before.topology, row)
+    end = _polished(problem, edited, surface_map, start.rest.laplacian, before.topology, row)
     edit = _edit(problem, surface_map, end, began)
     reached = reached_target(edit) and following.miss_rms <= FOLLOWED * problem.field.size
     reached = reached and following.status is not FitStatus.DIVERGED
-    edit = replace(edit, status=edit_status(end.status, reached=reached), notes=(*notes, *own))
+    edit = replace(
+        edit,
+        status=edit_status(end.status, reached=reached),
+        notes=(*notes, *own),
+        deformation=Deformation(start.rest, minimum.positions),
+    )
     return with_evidence(edit, problem.field, before, problem.resolution)
 
 
-def _points(problem: FiniteProblem, rest: RestShape, tell: _Teller) -> Minimum:
+def _points(problem: FiniteProblem, start: Deformation, tell: _Teller) -> Minimum:
     """Return the deformation of least energy."""
-    surface = rest.surface
+    rest, surface = start.rest, start.surface
     vertices = torch.from_numpy(surface.vertices).to(problem.precise.theta)
     targets = AveragedTargets(problem.handles, vertices, torch.from_numpy(surface.normals).to(vertices))
     targets.require_points_in_each_region()
@@ -171,14 +178,14 @@ def _points(problem: FiniteProblem, rest: RestShape, tell: _Teller) -> Minimum:
     def minimum(volume: float | None) -> Minimum:
         return solver.minimum(
             lambda fraction: rest.spread(targets.positions(fraction).cpu().numpy()),
-            rest.energy.vertices,
+            start.positions,
             stages=stages,
             tolerance=TOLERANCE,
             volume=volume,
             report=tell.points,
         )
 
-    held, bound = _volume(problem, rest)
+    held, bound = _volume(problem, start)
     if held is None or bound == "equal":
         return minimum(held)
     free = minimum(None)
@@ -187,11 +194,11 @@ def _points(problem: FiniteProblem, rest: RestShape, tell: _Teller) -> Minimum:
     return minimum(held) if broken else free
 
 
-def _volume(problem: FiniteProblem, rest: RestShape) -> tuple[float | None, str]:
+def _volume(problem: FiniteProblem, start: Deformation) -> tuple[float | None, str]:
     """Return the volume that the mesh is to hold, and on which side; of other functionals the end takes care."""
     for functional in problem.constraints:
         if type(functional) is Volume:
-            own = rest.volume.value(rest.energy.vertices)
+            own = start.rest.volume.value(start.positions)
             if functional.target is None:
                 return own, functional.bound
             # The mesh lies within its surface: what it encloses is in proportion.

@@ -45,6 +45,7 @@ from implicit.step.mesh_killing import MeshKilling
 from implicit.step.off_surface import off_surface
 from implicit.step.parameter_basis import spanned, spans_by_factors
 from implicit.step.problem import DampingRule, Row, StepProblem
+from implicit.step.rest_shape import Deformation
 from implicit.step.tangential_basis import CosineFeatures, TangentialModel
 from implicit.surface.quadrature import SurfaceSample
 from implicit.surface.sampling import carrying_points
@@ -103,6 +104,7 @@ def rigid_edit(
     track: Float[Tensor, "m d"] | None = None,
     progress: Progress | None = None,
     seed: int = 0,
+    rest: Edit | None = None,
 ) -> Edit:
     """Move handles and let the rest follow rigidly.
 
@@ -137,6 +139,9 @@ def rigid_edit(
         track: Further surface points (M, D) to carry along.
         progress: Called after each step.
         seed: Seed of the random points and features.
+        rest: The edit by finite rotations that the field came from. The shape at rest stays the one before it, however
+            many such edits follow each other, so that what is dragged back is as it was. None takes the field as it is
+            for the shape at rest.
 
     Returns:
         The edit. `before` and `after` say how sound the field is, `notes` what has become worse, and whether the points
@@ -144,8 +149,8 @@ def rigid_edit(
 
     Raises:
         ValueError: Linear steps are asked of a field in 2D, a region misses the surface, the handles leave a rigid
-            motion free (fewer than three points that are not on one line; two, in the plane), or a thickness is asked
-            of a field without second derivatives.
+            motion free (fewer than three points that are not on one line; two, in the plane), a thickness is asked of
+            a field without second derivatives, or the field did not come from `rest`.
     """
     require_options(field, damping=damping, resolution=resolution, progress=progress, seed=seed)
     constraints = checked_constraints(constraints)
@@ -160,9 +165,10 @@ def rigid_edit(
         off_surface_strength=off_surface_strength,
         seed=seed,
     )
+    start = None if rest is None else _deformation(field, rest)
     planar = precise.dimension == 2
-    if planar:
-        method = _in_the_plane(method)
+    if planar or start is not None:
+        method = _finite_alone(method, "a field in 2 dimensions" if planar else "a shape at rest of before")
         sample, targets = _carried(precise, handles, points, seed)
     else:
         operation = prepare(precise, handles, settings, tangential, points)
@@ -186,6 +192,7 @@ def rigid_edit(
             resolution=resolution,
             progress=progress,
             seed=seed,
+            start=start,
         )
         return finite_rigid_edit(finite, before, choice.notes)
     edit = _by_linear_steps(precise, operation, constraints, resolution, tracked, progress)
@@ -230,14 +237,32 @@ def _by_linear_steps(
     )
 
 
-def _in_the_plane(method: Method) -> Method:
-    """Return the way of a planar edit, or refuse one that there is not."""
+def _finite_alone(method: Method, what: str) -> Method:
+    """Return the way of an edit that finite rotations alone can make, or refuse another."""
     if method == "linear":
         raise ValueError(
-            'method must be "auto" or "finite" for a field in 2 dimensions, but is "linear": linear steps strain the '
-            "curve along itself alone, and do not see how it bends. Finite rotations deform the inside."
+            f'method must be "auto" or "finite" for {what}, but is "linear": linear steps strain the surface as it is, '
+            "along itself and as it bends in space. Finite rotations deform the inside of a curve, and know a shape at "
+            "rest."
         )
     return "finite" if method == "auto" else method
+
+
+def _deformation(field: Field, rest: Edit) -> Deformation:
+    """Return the deformation that a field shows after an edit, or refuse another field or edit."""
+    if not isinstance(rest, Edit):
+        raise TypeError(f"rest must be the Edit that the field came from, but is a {type(rest).__name__}.")
+    if rest.deformation is None:
+        raise ValueError(
+            "rest must be an edit by finite rotations that was made, but this one has no deformation. Take "
+            'method="finite" for it, or leave rest out.'
+        )
+    if field.theta.shape != rest.field.theta.shape or not torch.equal(field.theta.cpu(), rest.field.theta.cpu()):
+        raise ValueError(
+            "The field must be that of the edit given as rest, but has other parameters: it has been changed since. "
+            "Edit rest.field, or leave rest out."
+        )
+    return rest.deformation
 
 
 def _carried(

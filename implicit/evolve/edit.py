@@ -13,6 +13,7 @@ from torch import Tensor
 from implicit.arguments import require_callable, require_positive, require_whole
 from implicit.field.field import Field, require_field
 from implicit.step.problem import Row
+from implicit.step.rest_shape import Deformation
 from implicit.surface.extraction import SurfaceError, require_resolution
 from implicit.surface.projection import newton_to_surface
 from implicit.surface.quadrature import SurfaceSample, require_sample
@@ -85,6 +86,8 @@ class Edit:
             where nothing was, and the unit normals the points take along. None where only `wanted` is known.
         before, after: How sound the field was and is, of geometric and rigid edits.
         notes: What has become worse, a sentence each.
+        deformation: Of the shape at rest, by a rigid edit with finite rotations: what `rigid_edit(..., rest=edit)` goes
+            on from.
     """
 
     field: Field
@@ -102,6 +105,7 @@ class Edit:
     before: Soundness | None = None
     after: Soundness | None = None
     notes: tuple[str, ...] = ()
+    deformation: Deformation | None = None
 
     def error_field(self, sample: SurfaceSample | None = None) -> Float[Tensor, " n"]:
         """Return achieved minus wanted normal displacement over the largest wanted one [paper, error fields of fig. 4].

@@ -87,7 +87,7 @@ class Hold:
 class LocalGlobal:
     """The iteration for one rest shape and one set of held vertices, for many places of these.
 
-    Pieces of the mesh of which nothing is asked stay where they are.
+    Pieces of the mesh of which nothing is asked stay where they start.
 
     Args:
         energy: Of the deformation.
@@ -140,10 +140,10 @@ class LocalGlobal:
         """
         u, done = start, 0
         for stage in range(1, stages):
-            run = _Run(self, places(stage / stages), volume, tolerance)
+            run = _Run(self, start, places(stage / stages), volume, tolerance)
             u = run.take(u, STAGE_ITERATIONS, done, report).u
             done += run.taken
-        run = _Run(self, places(1.0), volume, tolerance)
+        run = _Run(self, start, places(1.0), volume, tolerance)
         end = run.take(u, iterations, done, report)
         gap = 0.0 if volume is None else abs(self.volume.value(end.u) / volume - 1)
         energy = self._energy.energy(end.u, end.rotations)
@@ -161,10 +161,11 @@ class _End:
 class _Run:
     """The iteration towards one set of places."""
 
-    def __init__(self, solver: LocalGlobal, places: FloatArray, volume: float | None, tolerance: float) -> None:
+    def __init__(
+        self, solver: LocalGlobal, start: FloatArray, places: FloatArray, volume: float | None, tolerance: float
+    ) -> None:
         self._solver, self._places, self._volume, self._tolerance = solver, places, volume, tolerance
-        rest = solver._energy.vertices
-        self._fixed = np.where(solver.untouched[:, None], rest, places)[solver._held]
+        self._fixed = np.where(solver.untouched[:, None], start, places)[solver._held]
         self.taken = 0
         self._way: FloatArray | None = None  # along which the volume was last met
 

@@ -1,6 +1,7 @@
 """Rigid edits in the plane: a bar that is bent as a solid, by finite rotations of its inside."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -15,6 +16,7 @@ from implicit import (
     integrate,
     project_to_surface,
     rigid_edit,
+    shapes,
 )
 from implicit.edits import finite_rigid
 from implicit.evolve.edit import EditStatus
@@ -99,6 +101,38 @@ def test_handles_that_turn_together_turn_the_field(bar):
     V = torch.from_numpy(extract_mesh(bar, 40)[0])
     turned = V @ torch.tensor([[0.0, 1.0], [-1.0, 0.0]]).to(V)  # rows: x -> R x
     assert float(edit.field.value(turned.to(edit.field.theta)).abs().max()) < 5e-3
+
+
+def back():
+    """The far end turned back by 60 degrees, about where it turned."""
+    far = HalfSpace((0.35, 0.346), (0.5, 0.866))  # RIGHT, turned about (0.1, 0) by 60 degrees
+    undone = RigidMotion(rotation=-math.pi / 3, center=(0.1, 0.0))
+    return [Handle(LEFT, (0.0, 0.0)), Handle(far, undone)]
+
+
+def test_what_is_dragged_back_against_the_shape_at_rest_is_as_it_was(bar, bent):
+    """The energy of the whole way is then nothing; against the bent shape it is that of bending it."""
+    _, edit = bent
+    kept = rigid_edit(edit.field, back(), points=400, resolution=32, rest=edit)
+    renewed = rigid_edit(edit.field, back(), method="finite", points=400, resolution=32)
+    assert kept.status is EditStatus.DONE
+    assert kept.history[0]["energy"] < 1e-6 * edit.history[0]["energy"]
+    assert renewed.history[0]["energy"] > 0.1 * edit.history[0]["energy"]
+    at_rest = kept.deformation.rest.surface.vertices
+    assert float(abs(kept.deformation.positions[: len(at_rest), :2] - at_rest).max()) < 1e-3
+    points = torch.from_numpy(extract_mesh(bar, 40)[0]).to(kept.field.theta)
+    assert float(kept.field.value(points).abs().max()) < 0.01
+
+
+def test_another_field_than_that_of_the_edit_is_refused(bar, bent):
+    _, edit = bent
+    with pytest.raises(ValueError, match="must be that of the edit given as rest"):
+        rigid_edit(bar, back(), rest=edit)
+    with pytest.raises(TypeError, match="rest must be the Edit"):
+        rigid_edit(bar, back(), rest=bar)
+    three = replace(edit, field=shapes.sphere(0.5))
+    with pytest.raises(ValueError, match="a shape at rest of before"):
+        rigid_edit(three.field, [], rest=three, method="linear")
 
 
 def test_linear_steps_are_refused_in_the_plane(bar):

@@ -7,6 +7,7 @@ do; positions are then (V, 3) with z = 0, and the first vertices are those of th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -65,7 +66,35 @@ class RestShape:
         """Return the positions of the vertices of the surface (B, D), of those of all (V, 3)."""
         return positions[: len(self.surface.vertices), : self.surface.dimension]
 
+
+@dataclass(frozen=True, eq=False)
+class Deformation:
+    """A shape and where it has been taken: what a further edit goes on from, against the same rest shape.
+
+    Attributes:
+        rest: The shape before.
+        positions: Of all vertices of its energy (V, 3).
+    """
+
+    rest: RestShape
+    positions: FloatArray
+
+    @classmethod
+    def none(cls, rest: RestShape) -> Deformation:
+        """Return that of a shape as it is."""
+        return cls(rest, rest.energy.vertices)
+
+    @cached_property
+    def surface(self) -> WeakSurface:
+        """The surface as deformed."""
+        return WeakSurface(self.rest.of_surface(self.positions), self.rest.surface.faces)
+
+    @cached_property
+    def _rotations(self) -> FloatArray:
+        return self.rest.energy.rotations(self.positions)
+
     def map_to(self, minimum: Minimum) -> SurfaceMap:
-        """Return the map of the surface by a deformation."""
+        """Return the map of the surface as deformed now to another deformation of the same shape."""
         B, D = self.surface.vertices.shape
-        return SurfaceMap(self.surface, self.of_surface(minimum.positions), minimum.rotations[:B, :D, :D])
+        turns = minimum.rotations @ self._rotations.transpose(0, 2, 1)
+        return SurfaceMap(self.surface, self.rest.of_surface(minimum.positions), turns[:B, :D, :D])
