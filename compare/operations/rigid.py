@@ -130,5 +130,9 @@ def arap(case: Case, subject: Subject, target: Target, progress: Progress | None
         done,
         seconds,
         seconds_by_phase=result.seconds,
-        details={"iterations": result.iterations},
+        details={
+            "iterations": result.iterations,
+            "last_move": result.residual,
+            "last_energy_change": result.energy_change,
+        },
     )

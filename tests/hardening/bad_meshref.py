@@ -230,6 +230,15 @@ def _of_options() -> Iterator[BadCase]:
     yield from refusals("arap", "iterations", counts(), lambda x: arap(iterations=x))
     yield from refusals("arap", "energy_every", counts(), lambda x: arap(energy_every=x))
     yield from refusals("arap", "tolerance", positives(), lambda x: arap(tolerance=x))
+    yield from refusals("arap", "penalty", positives(), lambda x: arap(penalty=x))
+    yield from refusals("arap", "penalty", [("of libigl", 1.0)], lambda x: arap(penalty=x, minimiser="libigl"))
+    yield from refusals("arap", "minimiser", choices(), lambda x: arap(minimiser=x))
+    yield from refusals(
+        "ArapSolver",
+        "handle_weights",
+        weights,
+        lambda x: meshref.ArapSolver(V, F, HANDLES, penalty=1.0, handle_weights=x),
+    )
     yield from refusals(
         "biharmonic", "solver", choices(), lambda x: meshref.biharmonic(V, F, HANDLES, WANTED, solver=x)
     )
