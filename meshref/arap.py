@@ -9,10 +9,11 @@ found in turn, with K and L sparse matrices of the shape at rest:
     local     R_v = the rotation nearest to (K u)_v         (K u)_v = sum over the cell  c (u_j - u_k) (x_j - x_k)^T
     global    L u = K^T R over the vertices that are free   L three times the cotangent Laplacian, factored once
 
-Each such iteration u -> G(u) lowers E, but slowly where something thin bends. It is accelerated from its last iterates;
-one that has more energy than the last is replaced by the plain G(u), so that the energy never rises.
-Sources: Sorkine and Alexa 2007; Chao, Pinkall, Sanan, Schroeder 2010 (rims); Peng, Deng, Zhang, Geng, Qin, Liu 2018
-(acceleration). The energy and the plain iteration are libigl's.
+Each such iteration lowers E, but slowly where something thin bends or where the mesh is fine. It is a step along the
+gradient preconditioned by L, from which quasi-Newton steps are learned that need a tenth of the iterations; each of
+them, too, has to lower E, or is made shorter.
+Sources: Sorkine and Alexa 2007; Chao, Pinkall, Sanan, Schroeder 2010 (rims); Liu, Bouaziz, Kavan 2017 (quasi-Newton).
+The energy and the plain iteration are libigl's.
 """
 
 from __future__ import annotations
@@ -29,7 +30,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from meshref.anderson import Anderson
 from meshref.biharmonic import biharmonic
 from meshref.check import (
     MeshError,
@@ -46,15 +46,20 @@ from meshref.curvature import corner_cotangents, laplacian
 from meshref.factor import NotPositiveDefiniteError, Solver, factorise
 from meshref.measures import lumped_areas, opposite_sides
 from meshref.printing import brief
+from meshref.quasi_newton import QuasiNewton
 from meshref.rotations import nearest_rotations, rigid_fit
 from meshref.springs import spring_weights
 from meshref.topology import FloatArray, IntArray
 
-Minimiser = Literal["accelerated", "libigl"]
+Minimiser = Literal["quasi-newton", "libigl"]
 
-# Differences of iterates that the acceleration combines; radians to which an iteration finds its rotations.
+# Steps that are learned from, and the angle in radians to which an iteration finds its rotations.
 WINDOW = 8
 ANGLE = 1e-7
+
+# A step has to gain this part of what its slope promises; one that is halved so often is replaced by a plain one.
+GAIN = 1e-4
+HALVINGS = 10
 
 # Iterations for each place on the way but the last: they make a first guess and nothing else.
 STAGE_ITERATIONS = 10
@@ -70,7 +75,7 @@ def arap(
     targets: ArrayLike,
     *,
     penalty: float | None = None,
-    minimiser: Minimiser = "accelerated",
+    minimiser: Minimiser = "quasi-newton",
     start: ArrayLike | None = None,
     way: Sequence[ArrayLike] = (),
     iterations: int = 2000,
@@ -119,7 +124,7 @@ class ArapStep(NamedTuple):
 
     iteration: int
     energy: float  # squared length, with the springs, if there are any
-    step: float  # largest move of a vertex in this iteration, over the size of the mesh
+    step: float  # largest move of a vertex by a plain iteration from the one before, over the size of the mesh
     seconds: float  # since the start of the solve
 
 
@@ -130,7 +135,7 @@ class ArapResult:
     V: FloatArray  # (n, 3), deformed vertices
     energy: float  # spokes and rims, squared length, without springs
     handle_error: float  # largest distance of a handle from where it was sent; 0 without a penalty
-    residual: float  # largest move of a vertex in the last iteration, over the size of the mesh
+    residual: float  # largest move of a vertex by the last iteration, a plain one, over the size of the mesh
     energy_change: float  # by which the last iteration lowered what is minimised, relative
     history: tuple[ArapStep, ...]  # the start, every energy_every-th iteration, and the end
     iterations: int  # those on the way among them
@@ -156,7 +161,7 @@ class ArapSolver:
         *,
         penalty: float | None = None,
         handle_weights: ArrayLike | None = None,
-        minimiser: Minimiser = "accelerated",
+        minimiser: Minimiser = "quasi-newton",
         solver: Solver = "auto",
     ) -> None:
         """Factorise.
@@ -171,7 +176,7 @@ class ArapSolver:
                 spring: it adds that times the integral of the squared distance from there over the handles.
             handle_weights: With a penalty, the weight of the squared distance of each handle, (h,), positive; None is
                 the area that belongs to it.
-            minimiser: "accelerated", or "libigl" for libigl's own iteration, in which nothing is accelerated and
+            minimiser: "quasi-newton", or "libigl" for libigl's own iteration, whose steps are all plain and whose
                 rotations are found in single precision; it takes no penalty.
             solver: Library that factorises, see factorise.
 
@@ -185,7 +190,7 @@ class ArapSolver:
         if penalty is not None:
             require_positive("penalty", penalty)
             if minimiser == "libigl":
-                raise MeshError("a penalty must go with minimiser='accelerated', for 'libigl' moves handles exactly.")
+                raise MeshError("a penalty must go with minimiser='quasi-newton', for 'libigl' moves handles exactly.")
         elif handle_weights is not None:
             raise MeshError("handle_weights must go with a penalty; without one, handles are moved exactly.")
         self.handle_vertices = vertex_indices(handle_vertices, len(self._V), "handle_vertices")
@@ -211,7 +216,6 @@ class ArapSolver:
             self._K_transposed = sparse.csr_array(self._K.T)
             self._constant = float((self._rest * (self._L @ self._rest)).sum())
             system = sparse.csr_array(self._L + sparse.diags_array(self._springs))[self._free]
-            self._to_held = sparse.csr_array(system[:, held])
             if self._free.size:
                 # Dirichlet's energy is positive on all that is zero somewhere on every part.
                 self._factor = factorise(sparse.csc_array(system[:, self._free]), solver, surely_definite=True)
@@ -317,6 +321,21 @@ class ArapSolver:
         return placed
 
 
+class _State(NamedTuple):
+    """A place in the iteration, all over the size of the mesh."""
+
+    u: FloatArray  # (n, 3)
+    rotations: FloatArray  # of the cells (n, 3, 3), transposed
+    energy: float  # that is minimised
+    rounding: float  # of it
+    gradient: FloatArray  # half of it, at the free vertices (f, 3)
+    plain: FloatArray  # the move of a plain iteration (f, 3)
+
+    @property
+    def finite(self) -> bool:
+        return bool(np.isfinite(self.energy) and np.isfinite(self.plain).all())
+
+
 class _Course:
     """The iteration towards one set of places, in coordinates of size 1 about the origin."""
 
@@ -351,31 +370,42 @@ class _Course:
         with np.errstate(over="ignore", invalid="ignore"):  # what is not finite has a status
             if solver._igl is not None:
                 return self._by_libigl(u, iterations, tolerance)
-            return self._accelerated(u, iterations, tolerance)
+            return self._quasi_newton(u, iterations, tolerance)
 
-    def _accelerated(self, u: FloatArray, iterations: int, tolerance: float) -> FloatArray:
-        acceleration, free = Anderson(WINDOW), self._solver._free
-        rotations, energy = self._local(u, None)
-        plain = u
-        while True:
-            self._note(energy)
-            moved = self._global(u, rotations)
-            if not (np.isfinite(energy) and np.isfinite(moved).all()):
-                self.status = ArapStatus.NOT_FINITE
-                return u
-            if self._ended(u, moved, iterations, tolerance):
-                break
-            plain, least = moved, energy
-            combined = moved.copy()
-            combined[free] = acceleration.combined(u[free], moved[free])
-            u, (rotations, energy) = combined, self._local(combined, rotations)
-            if not energy <= least + self._rounding:
-                acceleration.forget()
-                u, (rotations, energy) = plain, self._local(plain, rotations)
-        _, after = self._local(moved, rotations)
-        self.energy_change = max(energy - after, 0.0) / max(after, self._rounding)
-        self._note(after, last=True)
-        return moved
+    def _quasi_newton(self, u: FloatArray, iterations: int, tolerance: float) -> FloatArray:
+        memory, at = QuasiNewton(WINDOW), self._state(u, None)
+        self._note(at.energy)
+        while at.finite:
+            # The last iteration is a plain one, so that what it moves is what libigl's would.
+            ended = self._ended(at.plain, iterations, tolerance)
+            after = self._moved(at, at.plain) if ended else self._step(at, memory)
+            if ended and after.finite:
+                self.energy_change = max(at.energy - after.energy, 0.0) / max(after.energy, after.rounding)
+                self._note(after.energy, last=True)
+                return after.u
+            if after.finite:
+                self._note(after.energy)
+            u, at = at.u, after
+        self.status = ArapStatus.NOT_FINITE
+        return u
+
+    def _step(self, at: _State, memory: QuasiNewton) -> _State:
+        """Return where a quasi-Newton step leads, halved until it gains enough."""
+        direction = memory.direction(at.gradient, -at.plain)
+        slope = 2 * float(np.vdot(at.gradient, direction))
+        for halvings in range(HALVINGS):
+            way = direction / 2**halvings
+            after = self._moved(at, way)
+            if after.energy <= at.energy + GAIN * slope / 2**halvings + at.rounding:
+                memory.learn(way, after.gradient - at.gradient, at.plain - after.plain)
+                return after
+        memory.forget()
+        return self._moved(at, at.plain)
+
+    def _moved(self, at: _State, way: FloatArray) -> _State:
+        u = at.u.copy()
+        u[self._solver._free] += way
+        return self._state(u, at.rotations)
 
     def _by_libigl(self, u: FloatArray, iterations: int, tolerance: float) -> FloatArray:
         solver = self._solver
@@ -385,8 +415,7 @@ class _Course:
             if not np.isfinite(moved).all():
                 self.status = ArapStatus.NOT_FINITE
                 return u
-            ended = self._ended(u, moved, iterations, tolerance)
-            if ended:
+            if self._ended(moved - u, iterations, tolerance):
                 energy, after = self._exact_energy(u), self._exact_energy(moved)
                 self.energy_change = max(energy - after, 0.0) / max(after, np.finfo(float).tiny)
                 self._note(after, last=True)
@@ -395,36 +424,29 @@ class _Course:
             if self._due:
                 self._note(self._exact_energy(u))
 
-    def _local(self, u: FloatArray, start: FloatArray | None) -> tuple[FloatArray, float]:
-        """Return the rotations of the cells (n, 3, 3), transposed, and what is minimised, over the squared size."""
-        solver = self._solver
+    def _state(self, u: FloatArray, start: FloatArray | None) -> _State:
+        """Return what there is to know at u (n, 3), with rotations sought from a start."""
+        solver, springs = self._solver, self._solver._springs
+        assert solver._factor is not None
         covariances = (solver._K @ u).reshape(-1, 3, 3)
         if not np.isfinite(covariances).all():
-            return np.broadcast_to(np.eye(3), covariances.shape), np.inf
+            return _State(u, covariances, np.inf, 0.0, u, u)
         rotations = nearest_rotations(covariances, start, accuracy=ANGLE)
-        stretched = float((u * (solver._L @ u)).sum())
-        fitted = float((rotations * covariances).sum())
-        pulled = float(solver._springs @ ((u - self._goal) ** 2).sum(axis=1))
-        self._rounding = ROUNDING * (abs(stretched) + solver._constant)
-        return rotations, max(stretched - 2 * fitted + solver._constant, 0.0) + pulled
-
-    def _global(self, u: FloatArray, rotations: FloatArray) -> FloatArray:
-        """Return the places (n, 3) that are best for given rotations."""
-        solver = self._solver
-        wanted = solver._K_transposed @ rotations.reshape(-1, 3) + solver._springs[:, None] * self._goal
-        moved = u.copy()
-        known = solver._to_held @ self._goal[solver._held]
-        assert solver._factor is not None
-        moved[solver._free] = solver._factor.solve(wanted[solver._free] - known)
-        return moved
+        spread, pulled = solver._L @ u, u - self._goal
+        stretched, fitted = float(np.vdot(u, spread)), float(np.vdot(rotations, covariances))
+        energy = max(stretched - 2 * fitted + solver._constant, 0.0) + float(springs @ (pulled**2).sum(axis=1))
+        gradient = spread - solver._K_transposed @ rotations.reshape(-1, 3) + springs[:, None] * pulled
+        gradient = gradient[solver._free]
+        plain = -solver._factor.solve(gradient)
+        return _State(u, rotations, energy, ROUNDING * (stretched + solver._constant), gradient, plain)
 
     def _exact_energy(self, u: FloatArray) -> float:
         return _energy(self._solver._rest, self._solver._F, u)
 
-    def _ended(self, u: FloatArray, moved: FloatArray, iterations: int, tolerance: float) -> bool:
-        """Count an iteration, and return whether it was the last."""
+    def _ended(self, move: FloatArray, iterations: int, tolerance: float) -> bool:
+        """Count an iteration, and return True if it is the last: a plain one would move vertices so far (k, 3)."""
         self.done += 1
-        self.step = float(np.sqrt(((moved - u) ** 2).sum(axis=1).max()))
+        self.step = float(np.sqrt((move**2).sum(axis=1).max()))
         if self._progress is not None:
             self._progress(self.done, iterations)
         if self.step <= tolerance:

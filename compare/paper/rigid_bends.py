@@ -1,8 +1,9 @@
 """Large rigid motions in steps: a bar twisted by 135 degrees and a cactus bent by 90, beside ARAP on the mesh.
 
 The handles turn along their path; a bend sends the end to where an arc as long as the axis ends. ARAP, which is not
-linear, is led along the same path in stages and then goes on at the goal until it has converged. The mesh's Killing least squares along the path stands beside it: it minimises in each step what the field minimises, and
-shows how far two ways of staying rigid may end from each other on one and the same mesh.
+linear, is led along the same path in stages and goes on at the goal until it has converged. The mesh's Killing least
+squares along the path stands beside it: it minimises in each step what the field minimises, and shows how far two ways
+of staying rigid may end from each other on one and the same mesh.
 """
 
 from __future__ import annotations
