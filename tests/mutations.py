@@ -580,7 +580,7 @@ MESHREF = [
      "mesh_arap::springs_are_at_the_minimum_of_energy_and_pull"),
     ("steps that have more energy", "arap::_Course._step",
      "if after.energy <=", "if -np.inf <=",
-     "mesh_arap::the_energy_falls_to_the_end"),
+     "mesh_arap::the_energy_never_rises_however_far_the_start"),
     ("best rotation by Newton's method", "rotations::_newton_turn",
      "definite = (p > 0) & ", "definite = (p > -np.inf) | ",
      "mesh_rotations::a_start_changes_the_way_and_not_the_answer"),
