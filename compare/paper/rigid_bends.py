@@ -117,8 +117,14 @@ def turning_handles(subject: Subject, what: str, degrees: float) -> tuple[Handle
 def arap_along_the_path(subject: Subject, case: Case, stages: int) -> meshref.ArapResult:
     """ARAP at the goal, led there through as many parts of the handles' path."""
     held = np.flatnonzero(target_motion(case, subject).at)
-    *way, goal = [_path(subject, case, stage / stages)[held] for stage in range(1, stages + 1)]
+    *way, goal = arap_way(subject, case, stages)
     return meshref.arap(subject.V, subject.F, held, goal, way=way)
+
+
+def arap_way(subject: Subject, case: Case, stages: int) -> list[Float[ndarray, "h 3"]]:
+    """Return the places of the vertices that handles hold after each part of their path, the goal last."""
+    held = np.flatnonzero(target_motion(case, subject).at)
+    return [_path(subject, case, stage / stages)[held] for stage in range(1, stages + 1)]
 
 
 def killing_along_the_path(subject: Subject, case: Case, steps: int) -> Float[ndarray, "n 3"]:
