@@ -25,12 +25,6 @@ from meshref.flow import (
     explicit_step_limit,
     mean_curvature_flow,
 )
-    FlowResult,
-    FlowStatus,
-    FlowStep,
-    explicit_step_limit,
-    mean_curvature_flow,
-)
 
 # Measure
 from meshref.measures import (
@@ -81,7 +75,8 @@ __all__ = [
     "killing", "KillingResult", "KillingSolver", "KillingStatus", "killing_energy", "killing_energy_density",
     "arap", "ArapResult", "ArapSolver", "ArapStatus", "ArapStep", "arap_energy",
     "biharmonic", "BiharmonicResult", "BiharmonicStatus",
-    "mean_curvature_flow", "converged_curvature_flow", "ConvergedFlow", "FlowResult", "FlowStatus", "FlowStep", "explicit_step_limit",
+    "mean_curvature_flow", "FlowResult", "FlowStatus", "FlowStep", "explicit_step_limit",
+    "converged_curvature_flow", "ConvergedFlow",
     "volume", "area", "centroid", "second_moment", "sphericity", "euler_number", "genus", "components",
     "component_count", "face_normals", "vertex_normals", "vertex_areas",
     "mean_curvature", "cotangent_laplacian", "mass_matrix",

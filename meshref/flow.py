@@ -188,7 +188,7 @@ def mean_curvature_flow(
 class ConvergedFlow:
     """A flow whose steps have been halved until they hardly matter, and what they still do."""
 
-    flow: FlowResult  # of the finest steps, its last vertices extrapolated to steps of length zero
+    flow: FlowResult  # of the finest steps; if converged, its last vertices are extrapolated to steps of length zero
     steps: int  # of the finest flow
     time_error_rms: float  # estimate of the error of the steps: rms over the area of that along the normal, a length
     time_error_max: float  # the largest of it
@@ -213,7 +213,8 @@ def converged_curvature_flow(
     """Smooth a closed mesh for a time, in twice as many steps again and again until the number does not matter.
 
     The error of n steps falls as 1/n, so that 2 X(2n) - X(n) has one of order two; two of these in a row give the
-    estimate, and the last of them, its volume restored where it is held, is the result.
+    estimate, and the last of them, its volume restored where it is held, is the result. Where most_steps do not bring
+    the estimate below the tolerance the result is the finest flow, and the estimate how far it is from half its steps.
 
     Args:
         V: Vertices, (n, 3).
@@ -261,9 +262,11 @@ def converged_curvature_flow(
         if converged or 2 * count > most_steps or (not finished and last is not None):
             break
         last, before, count = flow if finished else None, X, 2 * count
-    if X is None or not np.isfinite(error[0]) or face_areas(X, F).sum() > flow.history[0].area * (1 + GROWTH):
-        return ConvergedFlow(flow, count, *error, converged=False)
-    return ConvergedFlow(replace(flow, V=X), count, *error, converged=converged)
+    if converged and X is not None:
+        return ConvergedFlow(replace(flow, V=X), count, *error, converged=True)
+    if last is not None and finished:  # what cannot be extrapolated is returned as it is, with its own error
+        error = _normal_distance(flow.V, last.V, F)
+    return ConvergedFlow(flow, count, *error, converged=False)
 
 
 def explicit_step_limit(V: ArrayLike, F: ArrayLike) -> float:
