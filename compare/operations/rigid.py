@@ -152,27 +152,23 @@ def _killing_beside(
         return None
     handles = np.flatnonzero(target.at)
 
-    def solve(penalty: float) -> tuple[meshref.KillingResult, float]:
-        start = perf_counter()
-        result = meshref.killing(
-            subject.V, subject.F, handles, target.displacement[handles], method="soft", penalty=penalty, **options
-        )
-        return result, perf_counter() - start
-
+    start = perf_counter()
     found = at_equal_error(
-        solve,
-        lambda solved: handle_miss(subject, target, solved[0].displacement),
+        lambda penalty: meshref.killing(
+            subject.V, subject.F, handles, target.displacement[handles], method="soft", penalty=penalty, **options
+        ),
+        lambda solved: handle_miss(subject, target, solved.displacement),
         handle_miss(subject, target, neural.displacement),
     )
     if found is None:
         return None
-    (result, seconds), penalty = found
+    result, penalty = found
     return Outcome(
         result.displacement,
         "Killing least squares, springs",
         result.status.value,
         result.status is meshref.KillingStatus.SOLVED,
-        seconds,
+        perf_counter() - start,  # of the whole search
         seconds_by_phase=result.seconds,
         details={"penalty": penalty},
     )
@@ -185,24 +181,26 @@ def _arap_beside(
     import meshref
 
     handles = np.flatnonzero(target.at)
-    goal, last = subject.V[handles] + target.displacement[handles], None
+    goal = subject.V[handles] + target.displacement[handles]
+    last: meshref.ArapResult | None = None
 
-    def solve(penalty: float) -> tuple[meshref.ArapResult, float]:
+    def solve(penalty: float) -> meshref.ArapResult:
         nonlocal last
-        start = perf_counter()
         last = meshref.arap(
             subject.V, subject.F, handles, goal, penalty=penalty, start=None if last is None else last.V
         )
-        return last, perf_counter() - start
+        return last
 
+    start = perf_counter()
     found = at_equal_error(
         solve,
-        lambda solved: handle_miss(subject, target, solved[0].V - subject.V),
+        lambda solved: handle_miss(subject, target, solved.V - subject.V),
         handle_miss(subject, target, neural.displacement),
     )
     if found is None:
         return None
-    (result, seconds), penalty = found
+    result, penalty = found
+    seconds = perf_counter() - start  # of the whole search
     return _of_arap(result, subject, "ARAP, springs", seconds, penalty=penalty)
 
 
