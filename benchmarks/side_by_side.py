@@ -24,6 +24,7 @@ ROWS = {
     "smoothing": ("smoothing", "smoothing"),
     "killing": ("rigid", "killing"),
     "arap": ("rigid", "arap"),
+    "arap_minimum": ("arap_minimum", "arap_minimum"),
     "iarap": ("iarap", "by_iarap"),
     "floor": ("floor", "floor"),
     "scaling": ("scaling", "scaling"),

@@ -17,9 +17,11 @@ from meshref.killing import (
 from meshref.arap import ArapResult, ArapSolver, ArapStatus, ArapStep, arap, arap_energy
 from meshref.biharmonic import BiharmonicResult, BiharmonicStatus, biharmonic
 from meshref.flow import (
+    ConvergedFlow,
     FlowResult,
     FlowStatus,
     FlowStep,
+    converged_curvature_flow,
     explicit_step_limit,
     mean_curvature_flow,
 )
@@ -74,6 +76,7 @@ __all__ = [
     "arap", "ArapResult", "ArapSolver", "ArapStatus", "ArapStep", "arap_energy",
     "biharmonic", "BiharmonicResult", "BiharmonicStatus",
     "mean_curvature_flow", "FlowResult", "FlowStatus", "FlowStep", "explicit_step_limit",
+    "converged_curvature_flow", "ConvergedFlow",
     "volume", "area", "centroid", "second_moment", "sphericity", "euler_number", "genus", "components",
     "component_count", "face_normals", "vertex_normals", "vertex_areas",
     "mean_curvature", "cotangent_laplacian", "mass_matrix",

@@ -49,6 +49,7 @@ from meshref.factor import Solver, factorise
 from meshref.measures import doubled_area_vectors, face_areas, lumped_areas, opposite_sides
 from meshref.metrics import handle_error
 from meshref.printing import brief
+from meshref.springs import spring_weights
 from meshref.topology import FloatArray, IntArray, vertex_components
 
 Form = Literal["membrane", "spokes-and-rims", "spokes", "ambient", "notebook"]
@@ -224,7 +225,7 @@ class KillingSolver:
             self._system = sparse.csc_array(rows[:, self._free])
             self._load = -rows[:, fixed]
         else:
-            weights = self.penalty * np.repeat(_weights_of(handles, areas, handle_weights), 3)
+            weights = self.penalty * np.repeat(spring_weights(handles, areas, handle_weights), 3)
             shape = (3 * len(V), len(fixed))
             self._free = np.arange(3 * len(V))
             self._load = sparse.csc_array((weights, (fixed, np.arange(len(fixed)))), shape=shape)
@@ -467,21 +468,6 @@ def _spokes_energy(V: FloatArray, F: IntArray, D: FloatArray) -> float:
     w = np.einsum("ixy,iy->ix", _symmetric_pseudo_inverse(moments), b)
     misfit = delta - np.cross(w[i], e)
     return 2 * float(np.einsum("k,kx,kx->", weight, misfit, misfit))
-
-
-def _weights_of(handles: IntArray, areas: FloatArray, given: ArrayLike | None) -> FloatArray:
-    if given is None:
-        return areas[handles]
-    try:
-        weights = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise MeshError(f"handle_weights must be {len(handles)} positive numbers, but {error}.") from None
-    if weights.shape != handles.shape or not (np.isfinite(weights).all() and (weights > 0).all()):
-        raise MeshError(
-            f"handle_weights must be {len(handles)} positive numbers, one for each handle, but have shape "
-            f"{weights.shape} and least {weights.min(initial=np.inf):.3g}."
-        )
-    return weights
 
 
 def _coordinates_of(vertices: IntArray) -> IntArray:

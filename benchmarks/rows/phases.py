@@ -22,7 +22,7 @@ from implicit import families, shapes
 KINDS = {
     "network": r"models/|torch\.(sin|cos|tanh)|_nn\.|run_backward|functorch|autograd|nn/modules",
     "products, factors": r"cholesky|superlu|SuperLU|cholespy|symmetric\.py|_linalg|einsum|eigh|\.mm'|"
-    r"/factors/\w+\.py:(of|solve)|/deformation\.py:strain_rows|/arap\.py:(?!_energy)",
+    r"/factors/\w+\.py:(of|solve)|/deformation\.py:strain_rows|/meshref/(arap|rotations|quasi_newton)\.py:(?!_energy)",
     "marching cubes": r"_marching_cubes",
     "numbers from text": r"meshref/formats|'(str|bytes|list)' objects|numpy\.array",
 }

@@ -18,7 +18,9 @@ def smoothing(vertices: int = 35_000, steps: int = 30) -> None:
     holding = implicit.Holding(resolution=32, fine_resolution=128)
 
     def theirs() -> meshref.FlowResult:
-        return meshref.mean_curvature_flow(V, F, steps=steps, step_size=size, preserve_volume="rescale")
+        return meshref.mean_curvature_flow(
+            V, F, steps=steps, step_size=size, method="semi-implicit", preserve_volume="newton"
+        )
 
     def ours() -> implicit.Edit:
         return implicit.smooth(field, steps=steps, step_size=size, constraints=(implicit.Volume(),), holding=holding)

@@ -127,6 +127,10 @@ class Operation(CaseRules, Protocol):
         """Return the mesh methods by the name of their side: "mesh" first, the one that is compared with the field."""
         ...
 
+    def mesh_editors_beside(self, neural: Outcome) -> Mapping[str, Editor]:
+        """Return further mesh methods, by the name of their side, that depend on what the neural editor has made."""
+        return {}
+
     @abstractmethod
     def error_field(self, subject: Subject, target: Target, own: Outcome, other: Outcome) -> Float[ndarray, " n"]:
         """Return the error of an outcome at each vertex of the common mesh, in the field's units; see error_means.

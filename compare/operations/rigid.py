@@ -3,13 +3,17 @@
 | neural field | mesh |
 |---|---|
 | implicit.rigid_edit | meshref.killing, linear least squares; meshref.arap beside it |
+
+Both mesh methods place their handles exactly, which a field cannot. They stand in the table a second time with springs
+at their handles, as stiff as leaves them as far off as the field's are: those energies are to be compared.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -19,7 +23,11 @@ from compare.cases.case import Case
 from compare.cases.handles import HandleSpec, rounded
 from compare.cases.subject import Subject
 from compare.errors import Progress
+from compare.operations.equal_error import at_equal_error, handle_miss
 from compare.operations.operation import Column, Editor, Headline, Operation, Outcome, Target
+
+if TYPE_CHECKING:
+    import meshref
 
 
 class Rigid(Operation):
@@ -80,6 +88,13 @@ class Rigid(Operation):
         """Return the linear least squares of the mesh, and as-rigid-as-possible deformation."""
         return {"mesh": killing, "mesh, ARAP": arap}
 
+    def mesh_editors_beside(self, neural: Outcome) -> Mapping[str, Editor]:
+        """Return both mesh methods with handles that are as far from their targets as the neural ones."""
+        return {
+            "mesh, equal error": partial(_killing_beside, neural),
+            "mesh, ARAP, equal error": partial(_arap_beside, neural),
+        }
+
     def error_field(self, subject: Subject, target: Target, own: Outcome, other: Outcome) -> Float[ndarray, " n"]:
         """Return the strain, which both sides minimise."""
         return strain(subject, own.displacement)
@@ -122,13 +137,85 @@ def arap(case: Case, subject: Subject, target: Target, progress: Progress | None
     handles = np.flatnonzero(target.at)
     start = perf_counter()
     result = meshref.arap(subject.V, subject.F, handles, subject.V[handles] + target.displacement[handles])
-    seconds, done = perf_counter() - start, result.status is meshref.ArapStatus.CONVERGED
+    seconds = perf_counter() - start
+    return _of_arap(result, subject, "ARAP", seconds)
+
+
+def _killing_beside(
+    neural: Outcome, case: Case, subject: Subject, target: Target, progress: Progress | None = None
+) -> Outcome | None:
+    """Return the least squares with springs; None where the case names its own handles, or no spring fits."""
+    import meshref
+
+    options = dict(case.parameters.get("mesh", {}))
+    if set(options) & {"method", "penalty", "handle_weights"}:
+        return None
+    handles = np.flatnonzero(target.at)
+
+    start = perf_counter()
+    found = at_equal_error(
+        lambda penalty: meshref.killing(
+            subject.V, subject.F, handles, target.displacement[handles], method="soft", penalty=penalty, **options
+        ),
+        lambda solved: handle_miss(subject, target, solved.displacement),
+        handle_miss(subject, target, neural.displacement),
+    )
+    if found is None:
+        return None
+    result, penalty = found
+    return Outcome(
+        result.displacement,
+        "Killing least squares, springs",
+        result.status.value,
+        result.status is meshref.KillingStatus.SOLVED,
+        perf_counter() - start,  # of the whole search
+        seconds_by_phase=result.seconds,
+        details={"penalty": penalty},
+    )
+
+
+def _arap_beside(
+    neural: Outcome, case: Case, subject: Subject, target: Target, progress: Progress | None = None
+) -> Outcome | None:
+    """Return ARAP with springs; None where no spring fits."""
+    import meshref
+
+    handles = np.flatnonzero(target.at)
+    goal = subject.V[handles] + target.displacement[handles]
+    last: meshref.ArapResult | None = None
+
+    def solve(penalty: float) -> meshref.ArapResult:
+        nonlocal last
+        last = meshref.arap(
+            subject.V, subject.F, handles, goal, penalty=penalty, start=None if last is None else last.V
+        )
+        return last
+
+    start = perf_counter()
+    found = at_equal_error(
+        solve,
+        lambda solved: handle_miss(subject, target, solved.V - subject.V),
+        handle_miss(subject, target, neural.displacement),
+    )
+    if found is None:
+        return None
+    result, penalty = found
+    seconds = perf_counter() - start  # of the whole search
+    return _of_arap(result, subject, "ARAP, springs", seconds, penalty=penalty)
+
+
+def _of_arap(result: meshref.ArapResult, subject: Subject, method: str, seconds: float, **details: float) -> Outcome:
     return Outcome(
         result.V - subject.V,
-        "ARAP",
+        method,
         result.status.value,
-        done,
+        result.converged,
         seconds,
         seconds_by_phase=result.seconds,
-        details={"iterations": result.iterations},
+        details={
+            "iterations": result.iterations,
+            "last_move": result.residual,
+            "last_energy_change": result.energy_change,
+            **details,
+        },
     )

@@ -2,7 +2,11 @@
 
 | neural field | mesh |
 |---|---|
-| implicit.smooth with Volume() held | conformalised mean-curvature flow, rescaled to its volume |
+| implicit.smooth with Volume() held | meshref.converged_curvature_flow, its volume held by a uniform normal speed |
+
+Both follow dx/dt = (mean kappa - kappa) n for the same time, the mesh in as many steps as it takes for their number not
+to matter. The conformalised flow, rescaled to its volume, is another equation: it stands beside under its own name. A
+case that names a flow of the mesh (its method, what keeps its volume, its cotangents) has that one, in its own steps.
 """
 
 from __future__ import annotations
@@ -28,9 +32,13 @@ from compare.operations.operation import (
     teller,
 )
 
+# Options of a case's mesh with which its flow is still the default one, and the most steps for that.
+CONVERGED = {"tolerance", "most_steps", "solver"}
+MOST_STEPS = 128
+
 
 class Smooth(Operation):
-    """No vertex has a target; both sides take the same steps of the same flow."""
+    """No vertex has a target; both sides follow the same flow for the same time."""
 
     name = "smooth"
     takes_handles = False
@@ -45,7 +53,8 @@ class Smooth(Operation):
         import implicit
         import meshref
 
-        return {"implicit": (implicit.smooth,), "mesh": (meshref.mean_curvature_flow,)}
+        flows = (meshref.converged_curvature_flow, meshref.mean_curvature_flow)
+        return {"implicit": (implicit.smooth,), "mesh": flows}
 
     def edit_field(self, case: Case, subject: Subject, progress: Progress | None = None) -> Outcome:
         """Smooth the field with its volume held."""
@@ -56,8 +65,8 @@ class Smooth(Operation):
         return run_edit(implicit.smooth, case, subject, method, progress, constraints=volume, **_steps(case))
 
     def mesh_editors(self) -> Mapping[str, Editor]:
-        """Return the flow of the mesh."""
-        return {"mesh": _flow}
+        """Return the same flow on the mesh, and the conformalised one."""
+        return {"mesh": _flow, "mesh, conformalised": _conformalised}
 
     def error_field(self, subject: Subject, target: Target, own: Outcome, other: Outcome) -> Float[ndarray, " n"]:
         """Return the motion along the normal beyond that of the other representation."""
@@ -69,10 +78,57 @@ def _steps(case: Case) -> dict[str, Any]:
 
 
 def _flow(case: Case, subject: Subject, target: Target, progress: Progress | None = None) -> Outcome:
+    options = dict(case.parameters.get("mesh", {}))
+    if not set(options) <= CONVERGED:
+        return _in_steps(case, subject, {"method": "semi-implicit", "preserve_volume": "newton", **options}, progress)
     import meshref
 
-    options = {"method": "conformalised", "preserve_volume": "rescale", **case.parameters.get("mesh", {})}
-    options["snapshot_every"] = 1
+    steps, step_size = (case.parameters[name] for name in Smooth.settings)
+    tell = teller(progress, f"{case.operation}, mesh")
+    start = perf_counter()
+    found = meshref.converged_curvature_flow(
+        subject.V,
+        subject.F,
+        time=steps * step_size,
+        steps=steps,
+        progress=lambda step, all_steps: tell(step, all_steps, None),
+        **{"most_steps": max(MOST_STEPS, 4 * steps), **options},
+    )
+    seconds, flow = perf_counter() - start, found.flow
+    finished = flow.status is meshref.FlowStatus.FINISHED
+    status = flow.status.value
+    if finished and not found.converged:
+        status = f"All steps were taken, but twice as many may move it by {found.time_error_max * subject.scale:.2g}."
+    every = found.steps // steps
+    path = [Halfway(V - subject.V, flow.history[k * every].seconds) for k, V in enumerate(flow.snapshots[1:], start=1)]
+    if finished:
+        path[-1] = Halfway(flow.V - subject.V, path[-1].seconds)  # extrapolated
+    return Outcome(
+        flow.V - subject.V,
+        "curvature flow, volume held",
+        status,
+        finished,
+        seconds,
+        seconds_by_phase={"steps": seconds},
+        path=path,
+        details={
+            "steps": found.steps,
+            "time_error_rms": found.time_error_rms * subject.scale,
+            "time_error_max": found.time_error_max * subject.scale,
+        },
+    )
+
+
+def _conformalised(case: Case, subject: Subject, target: Target, progress: Progress | None = None) -> Outcome | None:
+    if not set(case.parameters.get("mesh", {})) <= CONVERGED:
+        return None  # the case names the flow that it wants
+    return _in_steps(case, subject, {"method": "conformalised", "preserve_volume": "rescale"}, progress)
+
+
+def _in_steps(case: Case, subject: Subject, options: dict[str, Any], progress: Progress | None) -> Outcome:
+    import meshref
+
+    options = {**options, "snapshot_every": 1}
     tell = teller(progress, f"{case.operation}, mesh")
     start = perf_counter()
     flow = meshref.mean_curvature_flow(
@@ -83,9 +139,10 @@ def _flow(case: Case, subject: Subject, target: Target, progress: Progress | Non
         **options,
     )
     seconds = perf_counter() - start
+    kept = {None: "", "newton": ", volume held", "rescale": ", rescaled"}[options["preserve_volume"]]
     return Outcome(
         flow.V - subject.V,
-        f"{options['method']} curvature flow{', volume kept' if options['preserve_volume'] else ''}",
+        f"{options['method']} curvature flow{kept}",
         flow.status.value,
         flow.status is meshref.FlowStatus.FINISHED,
         seconds,

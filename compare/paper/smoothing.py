@@ -3,6 +3,8 @@
 Rows are the four flows, columns the selected steps; a second picture has volume and area over the steps. The field's
 volume is held by hard rows and Newton's method (the paper projects its step, and loses 1.6 %), and its drift is
 measured by an integrator that the loop does not use: Richardson's extrapolation of flat meshes of 192 and 256 cells.
+The mesh with its volume held takes the same flow, semi-implicit steps and a uniform normal speed; with nothing held the
+conformalised flow, which goes on where the other would end in a thin part.
 """
 
 from __future__ import annotations
@@ -114,13 +116,13 @@ def _mesh_run(subject: Subject, marks: Sequence[int], held: bool) -> Run:
         subject.F,
         steps=marks[-1],
         step_size=STEP_OF_AREA * meshref.area(subject.V, subject.F),
-        method=MESH_METHOD,
-        preserve_volume="rescale" if held else None,
+        method="semi-implicit" if held else MESH_METHOD,
+        preserve_volume="newton" if held else None,
         snapshot_every=1,
     )
     history, first = flow.history, flow.history[0]
     return Run(
-        "mesh, volume kept" if held else "mesh",
+        "mesh, volume held" if held else "mesh",
         tuple((flow.snapshots[k], subject.F) for k in (0, *marks) if k < len(flow.snapshots)),
         np.array([row.volume / first.volume for row in history]),
         np.array([row.area / first.area for row in history]),
@@ -170,7 +172,7 @@ def _findings(name: str, subject: Subject, runs: Sequence[Run], steps: int, *, q
             held.sphericity,
         ),
         finding(
-            f"mesh, volume kept, after {steps} steps: sphericity [area of the ball of equal volume, over the area]",
+            f"mesh, volume held, after {steps} steps: sphericity [area of the ball of equal volume, over the area]",
             mesh_held.sphericity,
             note=mesh_held.status,
         ),

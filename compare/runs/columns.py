@@ -8,10 +8,26 @@ from typing import Any
 from compare.operations.operation import Column, operation_of, operations
 from compare.runs.records import Record
 
-SIDES = {"implicit": "neural", "mesh": "mesh", "mesh, ARAP": "ARAP", "mesh, biharmonic": "biharmonic"}
+SIDES = {
+    "implicit": "neural",
+    "mesh": "mesh",
+    "mesh, ARAP": "ARAP",
+    "mesh, biharmonic": "biharmonic",
+    "mesh, conformalised": "conformalised",
+    "mesh, equal error": "mesh, as far off",
+    "mesh, ARAP, equal error": "ARAP, as far off",
+}
 
 # Of a side's line in every chart; Okabe and Ito's, told apart with any kind of colour vision.
-SIDE_COLOURS = {"implicit": "#0072b2", "mesh": "#d55e00", "mesh, ARAP": "#009e73", "mesh, biharmonic": "#cc79a7"}
+SIDE_COLOURS = {
+    "implicit": "#0072b2",
+    "mesh": "#d55e00",
+    "mesh, ARAP": "#009e73",
+    "mesh, biharmonic": "#cc79a7",
+    "mesh, conformalised": "#cc79a7",
+    "mesh, equal error": "#e69f00",
+    "mesh, ARAP, equal error": "#56b4e9",
+}
 
 # What every side has, before and after what single operations add.
 _JUDGED = (

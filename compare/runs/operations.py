@@ -6,6 +6,7 @@ editors an operation has stands in its file in `compare.operations`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -53,12 +54,16 @@ def target_motion(case: Case, subject: Subject) -> Target:
 
 def edit_by_all(case: Case, subject: Subject, target: Target, progress: Progress | None = None) -> dict[str, Outcome]:
     """Return the outcomes of all editors of a case's operation: "implicit", "mesh", and further mesh methods."""
-    editors: dict[str, Editor] = {"implicit": _edit_field, **operation_of(case.operation).mesh_editors()}
-    sides = {}
-    for name, editor in editors.items():
-        outcome, peak = with_peak_memory(partial(editor, case, subject, target, progress))
-        if outcome is not None:
-            sides[name] = replace(outcome, peak_memory=peak)
+    operation, sides = operation_of(case.operation), dict[str, Outcome]()
+
+    def add(editors: Mapping[str, Editor]) -> None:
+        for name, editor in editors.items():
+            outcome, peak = with_peak_memory(partial(editor, case, subject, target, progress))
+            if outcome is not None:
+                sides[name] = replace(outcome, peak_memory=peak)
+
+    add({"implicit": _edit_field, **operation.mesh_editors()})
+    add(operation.mesh_editors_beside(sides["implicit"]))
     return sides
 
 

@@ -56,6 +56,7 @@ TAKES_A_MESH: dict[str, Call] = {
     "arap_energy": lambda v, f: meshref.arap_energy(v, f, V),
     "biharmonic": lambda v, f: meshref.biharmonic(v, f, HANDLES, WANTED),
     "mean_curvature_flow": lambda v, f: meshref.mean_curvature_flow(v, f, steps=1, step_size=1e-3),
+    "converged_curvature_flow": lambda v, f: meshref.converged_curvature_flow(v, f, time=1e-3, steps=1),
     "signed_distance": lambda v, f: meshref.signed_distance(v, f, np.zeros((1, 3))),
     "SignedDistanceQuery": meshref.SignedDistanceQuery,
     "surface_distance": lambda v, f: meshref.surface_distance(V, F, v, f, n=10),
@@ -230,8 +231,29 @@ def _of_options() -> Iterator[BadCase]:
     yield from refusals("arap", "iterations", counts(), lambda x: arap(iterations=x))
     yield from refusals("arap", "energy_every", counts(), lambda x: arap(energy_every=x))
     yield from refusals("arap", "tolerance", positives(), lambda x: arap(tolerance=x))
+    yield from refusals("arap", "penalty", positives(), lambda x: arap(penalty=x))
+    yield from refusals("arap", "penalty", [("of libigl", 1.0)], lambda x: arap(penalty=x, minimiser="libigl"))
+    yield from refusals("arap", "minimiser", choices(), lambda x: arap(minimiser=x))
+    yield from refusals(
+        "ArapSolver",
+        "handle_weights",
+        weights,
+        lambda x: meshref.ArapSolver(V, F, HANDLES, penalty=1.0, handle_weights=x),
+    )
     yield from refusals(
         "biharmonic", "solver", choices(), lambda x: meshref.biharmonic(V, F, HANDLES, WANTED, solver=x)
+    )
+
+    def converged(**options: object) -> object:
+        return meshref.converged_curvature_flow(V, F, **{"time": 1e-3, **options})  # type: ignore[arg-type]
+
+    yield from refusals("converged_curvature_flow", "time", positives(), lambda x: converged(time=x))
+    yield from refusals("converged_curvature_flow", "steps", counts(), lambda x: converged(steps=x))
+    yield from refusals("converged_curvature_flow", "most_steps", counts(), lambda x: converged(most_steps=x))
+    yield from refusals("converged_curvature_flow", "tolerance", positives(), lambda x: converged(tolerance=x))
+    yield from refusals("converged_curvature_flow", "method", choices(), lambda x: converged(method=x))
+    yield from refusals(
+        "converged_curvature_flow", "preserve_volume", choices(), lambda x: converged(preserve_volume=x)
     )
     yield from refusals("mean_curvature_flow", "steps", counts(0), lambda x: flow(steps=x))
     yield from refusals("mean_curvature_flow", "step_size", positives(), lambda x: flow(step_size=x))

@@ -10,6 +10,8 @@ from meshref import (
     MeshError,
     box,
     centroid,
+    converged_curvature_flow,
+    cylinder,
     explicit_step_limit,
     icosphere,
     mean_curvature_flow,
@@ -120,6 +122,80 @@ def test_bad_triangles_end_the_unclamped_flow_with_a_status(real_mesh):
     assert result.status is not FlowStatus.FINISHED
     assert np.isfinite(result.V).all()
     assert result.steps_taken < 40
+
+
+def test_rescaling_a_thin_torus_is_refused_and_a_uniform_speed_is_not():
+    """The flow with its volume held by a uniform normal speed never makes the area grow; rescaled, by 12.7 % here."""
+    V, F = torus(64, 24, 1.0, 0.1)
+    for method in ("semi-implicit", "conformalised"):
+        options = {"steps": 4, "step_size": 1e-3, "method": method}
+        rescaled = mean_curvature_flow(V, F, preserve_volume="rescale", **options)
+        assert rescaled.status is FlowStatus.AREA_GREW
+        np.testing.assert_allclose(rescaled.V, V, atol=1e-15)
+        held = mean_curvature_flow(V, F, preserve_volume="newton", **options)
+        assert held.status is FlowStatus.FINISHED
+        assert -0.01 < held.history[-1].area / held.history[0].area - 1 < 0
+
+
+@pytest.mark.parametrize("preserve", [None, "newton"])
+def test_a_semi_implicit_flow_of_slender_triangles_shrinks_and_limited_cotangents_are_refused(preserve):
+    """A rod of one triangle from end to end, whose area limited cotangents make grow by 60 to 200 %."""
+    V, F = cylinder(96, 1, 0.05, 3.0)
+    options = {"steps": 10, "step_size": 1e-4, "method": "semi-implicit", "preserve_volume": preserve}
+    result = mean_curvature_flow(V, F, **options)
+    assert result.status is FlowStatus.FINISHED
+    assert np.diff([row.area for row in result.history]).max() < 0
+    limited = mean_curvature_flow(V, F, cotangents=(0, 5), **options)
+    assert limited.status is FlowStatus.LIMITED
+    np.testing.assert_allclose(limited.V, V, atol=1e-15)
+
+
+def test_a_free_semi_implicit_step_lowers_the_area_however_long(rng):
+    V, F = torus(20, 10)
+    V = V + 0.02 * rng.standard_normal(V.shape)
+    for step_size in (1e-3, 1e-1, 10.0):
+        result = mean_curvature_flow(V, F, steps=1, step_size=step_size, method="semi-implicit")
+        if result.status is FlowStatus.FINISHED:
+            assert result.history[1].area < result.history[0].area
+            assert result.history[1].substeps == 1
+        else:
+            assert result.status is FlowStatus.COLLAPSED
+
+
+def test_steps_that_are_too_long_are_taken_in_halves():
+    """The uniform motion outward after an overlong step inward overshoots."""
+    V, F = torus(24, 12, 1.0, 0.3)
+    result = mean_curvature_flow(V, F, steps=3, step_size=0.3, method="semi-implicit", preserve_volume="newton")
+    assert result.status is FlowStatus.FINISHED
+    assert [row.substeps for row in result.history] == [1, 1, 1, 4]
+    assert np.diff([row.area for row in result.history]).max() < 0
+
+
+def test_a_converged_flow_is_that_of_many_steps_and_its_estimate_is_honest():
+    V, F = box((-0.5, -0.5, -1), (0.5, 0.5, 1), subdivisions=3)
+    found = converged_curvature_flow(V, F, time=0.05, steps=4, tolerance=1e-4)
+    assert found.converged
+    assert len(found.flow.snapshots) == 5
+    assert abs(volume(found.flow.V, F) / volume(V, F) - 1) < 1e-12
+    reference = mean_curvature_flow(
+        V, F, steps=600, step_size=0.05 / 600, method="semi-implicit", preserve_volume="newton"
+    )
+    apart = np.linalg.norm(found.flow.V - reference.V, axis=1)
+    coarse = np.linalg.norm(found.flow.snapshots[-1] - reference.V, axis=1)
+    assert np.sqrt(np.mean(apart**2)) < 10 * found.time_error_rms + np.sqrt(np.mean(coarse**2)) / 10
+    assert found.time_error_rms < 1e-4 * np.linalg.norm(np.ptp(V, axis=0))
+    assert found.time_error_rms < found.time_error_max
+
+
+def test_a_flow_that_has_not_converged_says_so_and_by_how_much():
+    V, F = box((-0.5, -0.5, -1), (0.5, 0.5, 1), subdivisions=3)
+    found = converged_curvature_flow(V, F, time=0.05, steps=2, most_steps=8, tolerance=1e-9)
+    assert not found.converged
+    assert found.steps == 8
+    np.testing.assert_array_equal(found.flow.V, found.flow.snapshots[-1])
+    assert 1e-9 < found.time_error_rms < 0.05
+    with pytest.raises(MeshError, match="most_steps must be a whole number, at least 8"):
+        converged_curvature_flow(V, F, time=0.05, steps=2, most_steps=7)
 
 
 def test_snapshots_and_progress():

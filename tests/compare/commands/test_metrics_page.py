@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from compare.runs.columns import columns
+from compare.runs.columns import SIDES, columns
 
 PAGE = (Path(__file__).parents[3] / "docs" / "metrics.md").read_text(encoding="utf-8")
 EXPLAINED = set(re.findall(r"`([^`\n]+)`", PAGE))
@@ -46,7 +46,7 @@ def test_every_kind_of_number_is_in_the_small_run(small_run):
     """Or the tests above would pass for want of anything to explain."""
     assert {record.case.operation for record in small_run.records} == {"geometric", "smooth", "rigid"}
     sides = {side for record in small_run.records for side in record.sides}
-    assert sides == {"implicit", "mesh", "mesh, ARAP", "mesh, biharmonic"}
+    assert sides == set(SIDES)
 
 
 def test_phases_add_up_to_the_seconds_of_their_side(small_run):

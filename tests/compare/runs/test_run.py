@@ -64,6 +64,18 @@ def test_volume_is_held_by_both_flows_and_both_shrink_the_area(small_run):
         assert side["area_drift"] < -1e-3
 
 
+def test_the_mesh_follows_the_flow_of_the_field_to_its_end_and_says_how_well(small_run):
+    """One equation on both sides; the conformalised flow is another, under its own name."""
+    sides = by_operation(small_run, "smooth").sides
+    assert set(sides) == {"implicit", "mesh", "mesh, conformalised"}
+    mesh = sides["mesh"]
+    assert mesh["method"] == "curvature flow, volume held"
+    assert sides["mesh, conformalised"]["method"] == "conformalised curvature flow, rescaled"
+    assert 0 < mesh["details"]["time_error_rms"] <= mesh["details"]["time_error_max"] < 0.1 * mesh["displacement_max"]
+    assert mesh["details"]["steps"] >= 4 * (len(mesh["curve"]) - 1)
+    assert abs(mesh["volume_drift"]) < 1e-11
+
+
 def test_the_mesh_reaches_its_handles_exactly_and_has_less_energy_than_the_restricted_field(small_run):
     """The mesh minimises the spokes-and-rims form over all displacements that reach the handles."""
     sides = by_operation(small_run, "rigid").sides
