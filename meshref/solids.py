@@ -1,0 +1,332 @@
+"""Closed parts of a mesh against each other: which cross, which lie in others, and the one surface round them all.
+
+A part is a connected closed surface. Two parts cross where faces of one pass through faces of the other, or lie on
+them; a part that crosses no other lies wholly inside or outside each of them, by the winding number at its vertices.
+
+    parts that cross none         a surface inside an odd number of others is a cavity, however its faces look
+    parts that cross              united by manifold3d: the solid is where the winding number is at least 1
+
+The union is believed only where winding numbers agree with it on both sides of the faces given.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import igl
+import manifold3d
+import numpy as np
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from meshref.check import MeshError, place, signed_volume
+from meshref.measures import doubled_area_vectors, face_areas
+from meshref.topology import BoolArray, FloatArray, IntArray, vertex_components
+
+# Faces at which winding numbers are looked at, on both sides, spread evenly over the faces of a group of parts.
+PROBED_FACES = 20_000
+
+# Vertices by which a part that crosses none is said to be inside another.
+PROBED_VERTICES = 60
+
+# Share of the area of a group of parts on which winding numbers may speak against an answer: slivers along the curves
+# in which parts cross, where a probe meets the rounding of new corners.
+DISAGREEING_AREA = 1e-5
+
+
+class Arrangement(NamedTuple):
+    """Connected parts of a mesh and how they lie to each other, for k parts."""
+
+    part: IntArray  # (m,) of each face
+    crosses: BoolArray  # (k, k) symmetric: faces pass through each other, or lie on each other
+    inside: BoolArray  # (k, k): a lies wholly inside b
+
+    @property
+    def cavity(self) -> BoolArray:
+        """Tell for each part, (k,), if it lies inside an odd number of others."""
+        return np.asarray(self.inside.sum(axis=1) % 2 == 1)
+
+    def groups(self) -> IntArray:
+        """Return the group of each part, (k,): parts whose insides have a point in common, directly or by others."""
+        touching = sparse.csr_array(self.crosses | self.inside)
+        return np.asarray(csgraph.connected_components(touching, directed=False)[1], dtype=np.int64)
+
+
+class United(NamedTuple):
+    """A mesh whose parts cross no longer."""
+
+    V: FloatArray
+    F: IntArray
+    vertex_of: IntArray  # (n,) new number of each vertex given, -1 where it is gone
+    parts: int  # that were united
+    volume_before: float  # their own volumes, added up
+    volume_after: float  # of the union
+    turned_faces: int  # of parts that were taken the other way round than their faces look
+
+
+def arrangement(V: FloatArray, F: IntArray, crossing_faces: IntArray) -> Arrangement:
+    """Return how the connected parts of a mesh lie to each other.
+
+    Args:
+        V: Vertices, (n, 3).
+        F: Faces, (m, 3), oriented alike in each part.
+        crossing_faces: Pairs of faces that pass through each other, (c, 2).
+    """
+    parts, of_vertex = vertex_components(F, len(V))
+    part = of_vertex[F[:, 0]]
+    crosses = np.zeros((parts, parts), dtype=np.bool_)
+    a, b = part[crossing_faces].T if len(crossing_faces) else (part[:0], part[:0])
+    crosses[a, b] = crosses[b, a] = True
+    np.fill_diagonal(crosses, False)
+    return Arrangement(part, crosses, _containment(V, F, parts, of_vertex, part, crosses))
+
+
+def _containment(
+    V: FloatArray, F: IntArray, parts: int, of_vertex: IntArray, part: IntArray, crosses: BoolArray
+) -> BoolArray:
+    inside = np.zeros((parts, parts), dtype=np.bool_)
+    if parts == 1:
+        return inside
+    lower, upper = np.full((parts, 3), np.inf), np.full((parts, 3), -np.inf)
+    np.minimum.at(lower, of_vertex, V)
+    np.maximum.at(upper, of_vertex, V)
+    faces_of = _members(part, parts)
+    vertices_of = _members(of_vertex, parts)
+    for b in range(parts):
+        within = (lower > lower[b]).all(axis=1) & (upper < upper[b]).all(axis=1) & ~crosses[b]
+        candidates = np.flatnonzero(within)
+        if candidates.size == 0:
+            continue
+        chosen = [_spread(vertices_of[a], PROBED_VERTICES) for a in candidates]
+        winding = winding_numbers(V, F[faces_of[b]], V[np.concatenate(chosen)])
+        votes = np.split(np.abs(winding) > 0.5, np.cumsum([len(c) for c in chosen])[:-1])
+        inside[candidates, b] = [2 * np.count_nonzero(vote) > len(vote) for vote in votes]
+    return inside
+
+
+def part_volumes(V: FloatArray, F: IntArray, part: IntArray) -> FloatArray:
+    """Return the signed volume of each part, (k,), measured about the middle of its own corners."""
+    corners = np.repeat(part, 3)
+    count = np.maximum(np.bincount(corners), 1)
+    middle = np.stack([np.bincount(corners, weights=x) / count for x in V[F].reshape(-1, 3).T], axis=1)
+    A, B, C = (V[F] - middle[part][:, None]).transpose(1, 0, 2)
+    return np.asarray(np.bincount(part, weights=np.einsum("ij,ij->i", A, np.cross(B, C)) / 6))
+
+
+def winding_numbers(V: FloatArray, F: IntArray, points: FloatArray) -> FloatArray:
+    """Return how often the faces wind round each of the points (k, 3), (k,)."""
+    middle = V[F[0, 0]]  # near the origin the trees keep more digits
+    tree = igl.FastWindingNumberBVH()
+    used, faces = np.unique(F, return_inverse=True)
+    tree.init(V[used] - middle, faces.reshape(-1, 3).astype(np.int64), 2)
+    return np.asarray(tree.winding_number(np.ascontiguousarray(points - middle)), dtype=np.float64).reshape(-1)
+
+
+def unite(V: FloatArray, F: IntArray, found: Arrangement) -> United:
+    """Return the mesh with every group of parts that cross in place of them as one solid.
+
+    Args:
+        V: Vertices, (n, 3).
+        F: Faces, (m, 3), each part closed, and oriented as it was given.
+        found: How its parts lie to each other.
+
+    Raises:
+        MeshError: A union cannot be made, or the winding numbers do not say which.
+    """
+    group = found.groups()
+    crossing = np.unique(group[found.crosses.any(axis=1)])
+    replaced = np.isin(group, crossing)
+    kept = ~replaced[found.part]
+    pieces_V, pieces_F, before, after, turned = [V], [F[kept]], 0.0, 0.0, 0
+    count = len(V)
+    for g in crossing.tolist():
+        members = np.flatnonzero(group == g)
+        new_V, new_F, volume, turned_faces = _one_solid(V, F, found, members)
+        pieces_V.append(new_V)
+        pieces_F.append(new_F + count)
+        count += len(new_V)
+        before, after = before + volume, after + signed_volume(new_V, new_F)
+        turned += turned_faces
+    all_V, all_F = np.concatenate(pieces_V), np.concatenate(pieces_F)
+    return United(*_without_copies(all_V, all_F, len(V)), int(np.count_nonzero(replaced)), before, after, turned)
+
+
+def _without_copies(V: FloatArray, F: IntArray, given: int) -> tuple[FloatArray, IntArray, IntArray]:
+    """Drop what is unused; new vertices in the place of ones that were given are these, where only the new are used."""
+    used = np.bincount(F.ravel(), minlength=len(V)) > 0
+    places: dict[bytes, int] = {V[i].tobytes(): i for i in np.flatnonzero(~used[:given]).tolist()}
+    target = np.arange(len(V))
+    for i in range(given, len(V)):
+        target[i] = places.pop(V[i].tobytes(), i)
+    F = target[F]
+    used = np.bincount(F.ravel(), minlength=len(V)) > 0
+    number = np.where(used, np.cumsum(used) - 1, -1)
+    return V[used], number[F], number[:given]
+
+
+def _one_solid(
+    V: FloatArray, F: IntArray, found: Arrangement, members: IntArray
+) -> tuple[FloatArray, IntArray, float, int]:
+    """Return the surface of a group of parts as one solid, the sum of their volumes, and how many faces were turned."""
+    faces = {int(k): F[found.part == k] for k in members}
+    volumes = {k: signed_volume(V, f) for k, f in faces.items()}
+    first = F[found.part == members[0]][0, 0]
+    signs = _trusted_signs(V, faces, volumes)
+    if signs is None:
+        signs = _signs_by_nesting(V, found, members, first)
+    # From here on each part is oriented outwards, and its sign says if it adds or takes away.
+    outward = {k: f if volumes[k] > 0 else f[:, ::-1] for k, f in faces.items()}
+    oriented = np.concatenate([outward[k] if signs[k] > 0 else outward[k][:, ::-1] for k in outward])
+    result = _expression(V, found, outward, signs)
+    _require_agreement(V, oriented, *result)
+    turned = sum(len(faces[k]) for k in faces if signs[k] * volumes[k] < 0)
+    return *result, sum(abs(volumes[k]) * signs[k] for k in faces), turned
+
+
+def _trusted_signs(V: FloatArray, faces: dict[int, IntArray], volumes: dict[int, float]) -> dict[int, int] | None:
+    """Return which parts add and which take away as their faces look; None where these contradict each other.
+
+    They do where all parts together wind round a place in the negative sense: no solid looks so from either side.
+    """
+    together = np.concatenate(list(faces.values()))
+    for turn in (1, -1):
+        wound = _both_sides(V, together[:, ::turn])
+        if wound.share(wound.outer < -0.5) + wound.share(wound.inner < -0.5) <= DISAGREEING_AREA:
+            return {k: turn * int(np.sign(volume)) for k, volume in volumes.items()}
+    return None
+
+
+def _signs_by_nesting(V: FloatArray, found: Arrangement, members: IntArray, first: int) -> dict[int, int]:
+    """Return signs for parts whose faces look every way: all add but those inside an odd number of others.
+
+    Raises:
+        MeshError: A part crosses one and is inside another, so that it may belong to the solid or to its cavity.
+    """
+    depth = found.inside[members].sum(axis=1)
+    unclear = (depth > 0) & found.crosses[members].any(axis=1)
+    if unclear.any():
+        raise MeshError(
+            f"parts of the mesh pass through each other inside another part, near {place(V[first])}, and their faces "
+            "look in ways that no solid has: what is filled and what is hollow cannot be told. Turn the faces of the "
+            "parts that bound a hollow inwards and those of the others outwards, in a mesh editor."
+        )
+    return {int(k): 1 if d % 2 == 0 else -1 for k, d in zip(members, depth, strict=True)}
+
+
+def _expression(
+    V: FloatArray, found: Arrangement, outward: dict[int, IntArray], signs: dict[int, int]
+) -> tuple[FloatArray, IntArray]:
+    """Return the union of all parts that add, each without those that take away right inside it."""
+    every = np.concatenate(list(outward.values()))
+    middle = (V[every].reshape(-1, 3).min(axis=0) + V[every].reshape(-1, 3).max(axis=0)) / 2
+    solids = {k: _manifold(V, f, middle) for k, f in outward.items()}
+    less: dict[int, list[int]] = {k: [] for k in solids if signs[k] > 0}
+    alone = []  # parts that take away without lying inside one that adds
+    for k in solids:
+        if signs[k] < 0:
+            around = [j for j in less if found.inside[k, j]]
+            if around:
+                less[min(around, key=lambda j: solids[j].volume())].append(k)
+            else:
+                alone.append(k)
+    bodies = []
+    for k, holes in less.items():
+        body = solids[k]
+        if holes:
+            body = manifold3d.Manifold.batch_boolean([body, *(solids[j] for j in holes)], manifold3d.OpType.Subtract)
+        bodies.append(body)
+    union = manifold3d.Manifold.batch_boolean(bodies, manifold3d.OpType.Add)
+    if alone:
+        union = manifold3d.Manifold.batch_boolean([union, *(solids[j] for j in alone)], manifold3d.OpType.Subtract)
+    if union.status() != manifold3d.Error.NoError or union.num_tri() == 0:
+        raise MeshError(
+            f"parts of the mesh that pass through each other near {place(middle)} could not be united: manifold3d says "
+            f"{union.status().name}. Unite them in a mesh editor."
+        )
+    return _arrays(union, V, every, middle)
+
+
+def _manifold(V: FloatArray, F: IntArray, middle: FloatArray) -> Any:
+    used, faces = np.unique(F, return_inverse=True)
+    mesh = manifold3d.Mesh64(
+        np.ascontiguousarray(V[used] - middle), np.ascontiguousarray(faces.reshape(-1, 3).astype(np.uint64))
+    )
+    solid = manifold3d.Manifold(mesh)
+    if solid.status() != manifold3d.Error.NoError:
+        raise MeshError(
+            f"the part of the mesh near {place(V[F[0, 0]])} passes through another and cannot be united with it: "
+            f"manifold3d says {solid.status().name}. Is it closed? See mend_mesh."
+        )
+    return solid
+
+
+def _arrays(solid: Any, V: FloatArray, F: IntArray, middle: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return vertices and faces of a Manifold; corners that were given have their coordinates to the last bit."""
+    mesh = solid.to_mesh64()
+    points = np.asarray(mesh.vert_properties, dtype=np.float64)[:, :3]
+    faces = np.asarray(mesh.tri_verts, dtype=np.int64).reshape(-1, 3)
+    target = np.arange(len(points))
+    target[np.asarray(mesh.merge_from_vert, dtype=np.int64)] = np.asarray(mesh.merge_to_vert, dtype=np.int64)
+    used, faces = np.unique(target[faces], return_inverse=True)
+    points = points[used]
+    original = {(V[i] - middle).tobytes(): i for i in np.unique(F).tolist()}
+    known = [original.get(point.tobytes(), -1) for point in points]
+    found = np.array(known)
+    new = points + middle
+    new[found >= 0] = V[found[found >= 0]]
+    return new, faces.reshape(-1, 3).astype(np.int64)
+
+
+class _Wound(NamedTuple):
+    """Winding numbers on both sides of some faces, and the area that each of these stands for."""
+
+    outer: FloatArray
+    inner: FloatArray
+    areas: FloatArray
+    points: FloatArray  # on the faces
+
+    def share(self, where: BoolArray) -> float:
+        """Return the part of the area where something is so."""
+        return float(self.areas[where].sum() / self.areas.sum())
+
+
+def _both_sides(V: FloatArray, F: IntArray, V2: FloatArray | None = None, F2: IntArray | None = None) -> _Wound:
+    """Return how often the faces, or those of a second mesh, wind round places beside the middles of the faces."""
+    chosen = F[_spread(np.arange(len(F)), PROBED_FACES)]
+    areas = face_areas(V, chosen)
+    chosen, areas = chosen[areas > 0], areas[areas > 0]
+    corners = V[chosen]
+    points = corners.mean(axis=1)
+    normals = doubled_area_vectors(V, chosen) / (2 * areas[:, None])
+    height = 2 * areas / np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    size = float(np.linalg.norm(np.ptp(V[F].reshape(-1, 3), axis=0)))
+    away = np.maximum(1e-3 * height, 1e-9 * size)[:, None] * normals
+    beside = np.concatenate([points + away, points - away])
+    winding = winding_numbers(V if V2 is None else V2, F if F2 is None else F2, beside)
+    return _Wound(winding[: len(points)], winding[len(points) :], areas, points)
+
+
+def _require_agreement(V: FloatArray, F: IntArray, new_V: FloatArray, new_F: IntArray) -> None:
+    """Refuse a union that is not where the parts wind round at least once."""
+    wanted, got = _both_sides(V, F), _both_sides(V, F, new_V, new_F)
+    wrong = ((wanted.outer > 0.5) != (got.outer > 0.5)) | ((wanted.inner > 0.5) != (got.inner > 0.5))
+    share = wanted.share(wrong)
+    if share > DISAGREEING_AREA:
+        raise MeshError(
+            f"parts of the mesh that pass through each other could not be united: near "
+            f"{place(wanted.points[int(np.argmax(wrong))])} the union is not where they wind round (over {share:.2g} "
+            "of their area). Does a part pass through itself, or a cavity through two bodies? Unite them in a mesh "
+            "editor."
+        )
+
+
+def _members(label: IntArray, count: int) -> list[IntArray]:
+    order = np.argsort(label, kind="stable")
+    return np.split(order, np.cumsum(np.bincount(label, minlength=count))[:-1])
+
+
+def _spread(items: IntArray, most: int) -> IntArray:
+    """Return at most so many of the items, evenly spread over their order."""
+    if len(items) <= most:
+        return items
+    return items[np.linspace(0, len(items) - 1, most).astype(np.int64)]
