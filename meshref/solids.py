@@ -26,6 +26,9 @@ from meshref.topology import BoolArray, FloatArray, IntArray, vertex_components
 # Faces at which winding numbers are looked at, on both sides, spread evenly over the faces of a group of parts.
 PROBED_FACES = 20_000
 
+# The same where only a part that is inside out is looked for.
+INVERTED_PROBES = 1_000
+
 # Vertices by which a part that crosses none is said to be inside another.
 PROBED_VERTICES = 60
 
@@ -48,7 +51,8 @@ class Arrangement(NamedTuple):
 
     def groups(self) -> IntArray:
         """Return the group of each part, (k,): parts whose insides have a point in common, directly or by others."""
-        touching = sparse.csr_array(self.crosses | self.inside)
+        rows, columns = np.nonzero(self.crosses | self.inside)
+        touching = sparse.coo_array((np.ones(len(rows)), (rows, columns)), shape=self.crosses.shape)
         return np.asarray(csgraph.connected_components(touching, directed=False)[1], dtype=np.int64)
 
 
@@ -277,6 +281,26 @@ def _arrays(solid: Any, V: FloatArray, F: IntArray, middle: FloatArray) -> tuple
     return new, faces.reshape(-1, 3).astype(np.int64)
 
 
+def inverted_face(V: FloatArray, F: IntArray) -> int | None:
+    """Return a face of a part that is inside out, or None: the surface winds round places beside it backwards.
+
+    Open parts count too, where they wind round places beside most of their faces by more than half.
+    """
+    parts, of_vertex = vertex_components(F, len(V))
+    part = of_vertex[F[:, 0]]
+    firsts = np.unique(part, return_index=True)[1]
+    probed = np.union1d(_spread(np.arange(len(F)), INVERTED_PROBES), firsts)
+    areas = face_areas(V, F)[probed]
+    probed, areas = probed[areas > 0], areas[areas > 0]
+    if not probed.size:
+        return None
+    wound = _both_sides(V, F, chosen=probed)
+    backwards = np.minimum(wound.outer, wound.inner) < -0.5
+    total = np.bincount(part[probed], weights=areas, minlength=parts)
+    wrong = np.bincount(part[probed], weights=areas * backwards, minlength=parts)
+    return next(iter(np.flatnonzero(wrong[part] > total[part] / 2).tolist()), None)
+
+
 class _Wound(NamedTuple):
     """Winding numbers on both sides of some faces, and the area that each of these stands for."""
 
@@ -290,9 +314,16 @@ class _Wound(NamedTuple):
         return float(self.areas[where].sum() / self.areas.sum())
 
 
-def _both_sides(V: FloatArray, F: IntArray, V2: FloatArray | None = None, F2: IntArray | None = None) -> _Wound:
-    """Return how often the faces, or those of a second mesh, wind round places beside the middles of the faces."""
-    chosen = F[_spread(np.arange(len(F)), PROBED_FACES)]
+def _both_sides(
+    V: FloatArray,
+    F: IntArray,
+    V2: FloatArray | None = None,
+    F2: IntArray | None = None,
+    *,
+    chosen: IntArray | None = None,
+) -> _Wound:
+    """Return how often the faces, or those of a second mesh, wind round places beside the middles of some faces."""
+    chosen = F[_spread(np.arange(len(F)), PROBED_FACES) if chosen is None else chosen]
     areas = face_areas(V, chosen)
     chosen, areas = chosen[areas > 0], areas[areas > 0]
     corners = V[chosen]
