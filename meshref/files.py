@@ -6,6 +6,7 @@ at the end, so that an interruption loses nothing.
 
 from __future__ import annotations
 
+import codecs
 import os
 import secrets
 from pathlib import Path
@@ -25,9 +26,9 @@ FORMATS = {".obj": obj, ".off": off, ".ply": ply, ".stl": stl}
 def read_mesh(path: str | os.PathLike[str]) -> tuple[FloatArray, IntArray]:
     """Return vertices V (n, 3) and faces F (m, 3) of a mesh file.
 
-    The order of vertices and faces is that of the file. Polygons are split into a fan of triangles. Texture
-    coordinates, normals and colours are left out, so a seam of texture coordinates in an .obj does not tear the
-    surface. An .stl file repeats the corners of every face; those with equal coordinates become one vertex.
+    The order of vertices and faces is that of the file. Polygons are split into triangles within them, concave ones
+    too. Texture coordinates, normals and colours are left out, so a seam of texture coordinates in an .obj does not
+    tear the surface. An .stl file repeats the corners of every face; those with equal coordinates become one vertex.
 
     Args:
         path: A file whose name ends in .obj, .off, .ply or .stl, in capitals or not; .ply and .stl text or binary.
@@ -48,6 +49,7 @@ def read_mesh(path: str | os.PathLike[str]) -> tuple[FloatArray, IntArray]:
         raise MeshError(f"{str(path)!r} is a directory. Give the file inside it.") from None
     except OSError as error:
         raise MeshError(f"the file {str(path)!r} cannot be read: {error.strerror}.") from None
+    content = _without_mark(content)
     if not content.strip():
         raise MeshError(f"the file {str(path)!r} is empty. Write it again, to the end.")
     try:
@@ -69,6 +71,18 @@ def read_mesh(path: str | os.PathLike[str]) -> tuple[FloatArray, IntArray]:
             f"the file has {len(V)} vertices. Was it cut short?"
         )
     return V, F
+
+
+def _without_mark(content: bytes) -> bytes:
+    """Return a text without the byte-order mark before it, and in bytes again if it was written in pairs of them."""
+    if content.startswith(codecs.BOM_UTF8):
+        return content[len(codecs.BOM_UTF8) :]
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        try:
+            return content.decode("utf-16").encode("latin-1", "replace")
+        except UnicodeDecodeError:  # bytes of a binary file, by chance
+            return content
+    return content
 
 
 def write_mesh(path: str | os.PathLike[str], V: ArrayLike, F: ArrayLike, *, quality: ArrayLike | None = None) -> None:
