@@ -1,4 +1,4 @@
-"""Read and write triangle meshes: Wavefront .obj, .off, .ply and .stl.
+"""Read and write triangle meshes: Wavefront .obj, .off, .ply and .stl; read .glb, .gltf, .3mf and .dae too.
 
 A broken file ends in one MeshError that names the line. Writing goes to a side file that takes the place of the old one
 at the end, so that an interruption loses nothing.
@@ -16,11 +16,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshref.check import MeshError, as_arrays
-from meshref.formats import obj, off, ply, stl
+from meshref.formats import obj, off, ply, scenes, stl
 from meshref.formats.text import DamageError
 from meshref.topology import FloatArray, IntArray
 
 FORMATS = {".obj": obj, ".off": off, ".ply": ply, ".stl": stl}
+# Read by other libraries, and not written: a scene of meshes becomes one mesh.
+SCENES = {".glb": scenes.read_gltf, ".gltf": scenes.read_gltf, ".3mf": scenes.read_3mf, ".dae": scenes.read_dae}
+READABLE = (*FORMATS, *SCENES)
 
 
 def read_mesh(path: str | os.PathLike[str]) -> tuple[FloatArray, IntArray]:
@@ -31,16 +34,17 @@ def read_mesh(path: str | os.PathLike[str]) -> tuple[FloatArray, IntArray]:
     tear the surface. An .stl file repeats the corners of every face; those with equal coordinates become one vertex.
 
     Args:
-        path: A file whose name ends in .obj, .off, .ply or .stl, in capitals or not; .ply and .stl text or binary.
+        path: A file whose name ends in .obj, .off, .ply or .stl, in capitals or not; .ply and .stl text or binary. Also
+            .glb and .gltf, and with the packages of the extra "formats" .3mf and .dae; their scenes become one mesh.
 
     Raises:
         MeshError: The file is missing, empty, of another kind, damaged, or holds no triangle mesh. Coordinates that are
             not finite are let through, for check_mesh to name.
     """
     path = _as_path(path)
-    form = FORMATS.get(path.suffix.lower())
-    if form is None:
-        raise MeshError(f"the file must end in {', '.join(FORMATS)}, but is called {path.name!r}. Convert it first.")
+    suffix = path.suffix.lower()
+    if suffix not in READABLE:
+        raise MeshError(f"the file must end in {', '.join(READABLE)}, but is called {path.name!r}. Convert it first.")
     try:
         content = path.read_bytes()
     except FileNotFoundError:
@@ -53,10 +57,10 @@ def read_mesh(path: str | os.PathLike[str]) -> tuple[FloatArray, IntArray]:
     if not content.strip():
         raise MeshError(f"the file {str(path)!r} is empty. Write it again, to the end.")
     try:
-        V, F = form.read(content)
+        V, F = FORMATS[suffix].read(content) if suffix in FORMATS else SCENES[suffix](path, content)
     except DamageError as damage:
         raise MeshError(
-            f"the file {str(path)!r} is no {path.suffix.lower()} mesh: {damage}. Write it again, or mend that place."
+            f"the file {str(path)!r} cannot be read as {suffix}: {damage}. Write it again, or mend that place."
         ) from None
     if len(V) == 0 or len(F) == 0:
         raise MeshError(
