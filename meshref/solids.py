@@ -18,16 +18,29 @@ import manifold3d
 import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
+from scipy.spatial import cKDTree
 
-from meshref.check import MeshError, place, signed_volume
+from meshref.check import FLATTEST_FACE, MeshError, place, relative_heights, signed_volume
 from meshref.measures import doubled_area_vectors, face_areas
-from meshref.topology import BoolArray, FloatArray, IntArray, vertex_components
+from meshref.topology import BoolArray, FloatArray, IntArray, half_edges, vertex_components
 
-# Faces at which winding numbers are looked at, on both sides, spread evenly over the faces of a group of parts.
+# Faces at which winding numbers are looked at, on both sides, spread evenly over those of a group of parts: at most so
+# many, and for large meshes fewer, so that points times faces stay within what takes a second.
 PROBED_FACES = 20_000
+LEAST_PROBED_FACES = 200
+PAIRS_OF_POINT_AND_FACE = 400_000_000
 
-# The same where only a part that is inside out is looked for.
+# The first where only a part that is inside out is looked for.
 INVERTED_PROBES = 1_000
+
+# Parts that touch are made larger by this share to be united, and their corners put back where they were.
+OVERLAP = 1e-12
+
+# Where on a face: its middle would lie in the planes of other faces too often.
+PLACE_IN_FACE = np.array([0.29417, 0.38146, 0.32437])
+
+# How far beside a face, as a part of the size: well above rounding, and well below the thickness of any plate.
+BESIDE = 1e-9
 
 # Vertices by which a part that crosses none is said to be inside another.
 PROBED_VERTICES = 60
@@ -119,11 +132,12 @@ def part_volumes(V: FloatArray, F: IntArray, part: IntArray) -> FloatArray:
 
 def winding_numbers(V: FloatArray, F: IntArray, points: FloatArray) -> FloatArray:
     """Return how often the faces wind round each of the points (k, 3), (k,)."""
-    middle = V[F[0, 0]]  # near the origin the trees keep more digits
-    tree = igl.FastWindingNumberBVH()
+    middle = V[F[0, 0]]  # near the origin they keep more digits
     used, faces = np.unique(F, return_inverse=True)
-    tree.init(V[used] - middle, faces.reshape(-1, 3).astype(np.int64), 2)
-    return np.asarray(tree.winding_number(np.ascontiguousarray(points - middle)), dtype=np.float64).reshape(-1)
+    # Summed over all faces: the quick trees of libigl are in single precision, and thin plates lie within its rounding.
+    vertices, faces = np.ascontiguousarray(V[used] - middle), faces.reshape(-1, 3).astype(np.int64)
+    winding = igl.winding_number(vertices, faces, np.ascontiguousarray(points - middle))
+    return np.asarray(winding, dtype=np.float64).reshape(-1)
 
 
 def unite(V: FloatArray, F: IntArray, found: Arrangement) -> United:
@@ -182,6 +196,14 @@ def _one_solid(
     outward = {k: f if volumes[k] > 0 else f[:, ::-1] for k, f in faces.items()}
     oriented = np.concatenate([outward[k] if signs[k] > 0 else outward[k][:, ::-1] for k in outward])
     result = _expression(V, found, outward, signs)
+    if _has_inner_walls(*result):
+        # Parts that touch within the rounding of their corners keep a wall between them, unless they overlap a little.
+        result = _expression(V, found, outward, signs, OVERLAP)
+        if _has_inner_walls(*result):
+            raise MeshError(
+                f"parts of the mesh near {place(V[first])} touch within the rounding of their corners and cannot be "
+                "united: a wall would be left between them. Unite them in a mesh editor, or move them apart."
+            )
     _require_agreement(V, oriented, *result)
     turned = sum(len(faces[k]) for k in faces if signs[k] * volumes[k] < 0)
     return *result, sum(abs(volumes[k]) * signs[k] for k in faces), turned
@@ -218,12 +240,12 @@ def _signs_by_nesting(V: FloatArray, found: Arrangement, members: IntArray, firs
 
 
 def _expression(
-    V: FloatArray, found: Arrangement, outward: dict[int, IntArray], signs: dict[int, int]
+    V: FloatArray, found: Arrangement, outward: dict[int, IntArray], signs: dict[int, int], overlap: float = 0.0
 ) -> tuple[FloatArray, IntArray]:
     """Return the union of all parts that add, each without those that take away right inside it."""
     every = np.concatenate(list(outward.values()))
     middle = (V[every].reshape(-1, 3).min(axis=0) + V[every].reshape(-1, 3).max(axis=0)) / 2
-    solids = {k: _manifold(V, f, middle) for k, f in outward.items()}
+    solids = {k: _manifold(V, f, middle, overlap * signs[k]) for k, f in outward.items()}
     less: dict[int, list[int]] = {k: [] for k in solids if signs[k] > 0}
     alone = []  # parts that take away without lying inside one that adds
     for k in solids:
@@ -247,14 +269,16 @@ def _expression(
             f"parts of the mesh that pass through each other near {place(middle)} could not be united: manifold3d says "
             f"{union.status().name}. Unite them in a mesh editor."
         )
-    return _arrays(union, V, every, middle)
+    return _without_flat_faces(union, V, every, middle, overlap)
 
 
-def _manifold(V: FloatArray, F: IntArray, middle: FloatArray) -> Any:
+def _manifold(V: FloatArray, F: IntArray, middle: FloatArray, larger: float) -> Any:
     used, faces = np.unique(F, return_inverse=True)
-    mesh = manifold3d.Mesh64(
-        np.ascontiguousarray(V[used] - middle), np.ascontiguousarray(faces.reshape(-1, 3).astype(np.uint64))
-    )
+    points = V[used] - middle
+    if larger:
+        own = (points.min(axis=0) + points.max(axis=0)) / 2
+        points = points + larger * (points - own)
+    mesh = manifold3d.Mesh64(np.ascontiguousarray(points), np.ascontiguousarray(faces.reshape(-1, 3).astype(np.uint64)))
     solid = manifold3d.Manifold(mesh)
     if solid.status() != manifold3d.Error.NoError:
         raise MeshError(
@@ -264,8 +288,21 @@ def _manifold(V: FloatArray, F: IntArray, middle: FloatArray) -> Any:
     return solid
 
 
-def _arrays(solid: Any, V: FloatArray, F: IntArray, middle: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return vertices and faces of a Manifold; corners that were given have their coordinates to the last bit."""
+def _without_flat_faces(
+    solid: Any, V: FloatArray, F: IntArray, middle: FloatArray, overlap: float
+) -> tuple[FloatArray, IntArray]:
+    """Return a Manifold as arrays; where it has slivers, simplified within the rounding of the coordinates given."""
+    size = float(np.ptp(V[F].reshape(-1, 3), axis=0).max())
+    new_V, new_F = _arrays(solid, V, F, middle, 2 * overlap * size)
+    if overlap == 0 and relative_heights(new_V, new_F).min() > FLATTEST_FACE:
+        return new_V, new_F
+    rounding = 8 * float(np.spacing(np.abs(V[F]).max()))
+    simple = solid.simplify(max(rounding, 1e-12 * size, 4 * overlap * size))
+    return _arrays(simple, V, F, middle, 2 * overlap * size)
+
+
+def _arrays(solid: Any, V: FloatArray, F: IntArray, middle: FloatArray, near: float) -> tuple[FloatArray, IntArray]:
+    """Return vertices and faces of a Manifold; those within a distance of a corner given are put exactly there."""
     mesh = solid.to_mesh64()
     points = np.asarray(mesh.vert_properties, dtype=np.float64)[:, :3]
     faces = np.asarray(mesh.tri_verts, dtype=np.int64).reshape(-1, 3)
@@ -273,12 +310,27 @@ def _arrays(solid: Any, V: FloatArray, F: IntArray, middle: FloatArray) -> tuple
     target[np.asarray(mesh.merge_from_vert, dtype=np.int64)] = np.asarray(mesh.merge_to_vert, dtype=np.int64)
     used, faces = np.unique(target[faces], return_inverse=True)
     points = points[used]
-    original = {(V[i] - middle).tobytes(): i for i in np.unique(F).tolist()}
-    known = [original.get(point.tobytes(), -1) for point in points]
-    found = np.array(known)
+    given = np.unique(F)
+    distance, nearest = cKDTree(V[given] - middle).query(points)
+    found = np.asarray(distance) <= near
     new = points + middle
-    new[found >= 0] = V[found[found >= 0]]
-    return new, faces.reshape(-1, 3).astype(np.int64)
+    corner = np.where(found, given[np.minimum(nearest, len(given) - 1)], -1)
+    new[found] = V[corner[found]]
+    # Neighbours that were put on one corner become one; others in one place are kept apart, as where edges touch.
+    ends = half_edges(faces.reshape(-1, 3))
+    short = ends[(corner[ends[:, 0]] == corner[ends[:, 1]]) & found[ends[:, 0]]]
+    graph = sparse.coo_array((np.ones(len(short)), (short[:, 0], short[:, 1])), shape=(len(points), len(points)))
+    of_group = csgraph.connected_components(graph, directed=False)[1]
+    first = np.unique(of_group, return_index=True)[1]
+    faces = first[of_group][faces.reshape(-1, 3)]
+    used, faces = np.unique(faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)], return_inverse=True)
+    return new[used], faces.reshape(-1, 3).astype(np.int64)
+
+
+def _has_inner_walls(V: FloatArray, F: IntArray) -> bool:
+    """Tell if some faces have the solid on both sides, or on neither."""
+    wound = _both_sides(V, F)
+    return wound.share((wound.outer > 0.5) | (wound.inner < 0.5)) > DISAGREEING_AREA
 
 
 def inverted_face(V: FloatArray, F: IntArray) -> int | None:
@@ -289,7 +341,7 @@ def inverted_face(V: FloatArray, F: IntArray) -> int | None:
     parts, of_vertex = vertex_components(F, len(V))
     part = of_vertex[F[:, 0]]
     firsts = np.unique(part, return_index=True)[1]
-    probed = np.union1d(_spread(np.arange(len(F)), INVERTED_PROBES), firsts)
+    probed = np.union1d(_probed(F, INVERTED_PROBES), firsts)
     areas = face_areas(V, F)[probed]
     probed, areas = probed[areas > 0], areas[areas > 0]
     if not probed.size:
@@ -323,15 +375,14 @@ def _both_sides(
     chosen: IntArray | None = None,
 ) -> _Wound:
     """Return how often the faces, or those of a second mesh, wind round places beside the middles of some faces."""
-    chosen = F[_spread(np.arange(len(F)), PROBED_FACES) if chosen is None else chosen]
+    chosen = F[_probed(F, PROBED_FACES) if chosen is None else chosen]
     areas = face_areas(V, chosen)
     chosen, areas = chosen[areas > 0], areas[areas > 0]
     corners = V[chosen]
-    points = corners.mean(axis=1)
+    points = np.einsum("c,kcx->kx", PLACE_IN_FACE, corners)
     normals = doubled_area_vectors(V, chosen) / (2 * areas[:, None])
-    height = 2 * areas / np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     size = float(np.linalg.norm(np.ptp(V[F].reshape(-1, 3), axis=0)))
-    away = np.maximum(1e-3 * height, 1e-9 * size)[:, None] * normals
+    away = max(BESIDE * size, 64 * float(np.spacing(np.abs(V[F]).max()))) * normals
     beside = np.concatenate([points + away, points - away])
     winding = winding_numbers(V if V2 is None else V2, F if F2 is None else F2, beside)
     return _Wound(winding[: len(points)], winding[len(points) :], areas, points)
@@ -349,6 +400,11 @@ def _require_agreement(V: FloatArray, F: IntArray, new_V: FloatArray, new_F: Int
             "of their area). Does a part pass through itself, or a cavity through two bodies? Unite them in a mesh "
             "editor."
         )
+
+
+def _probed(F: IntArray, most: int) -> IntArray:
+    affordable = PAIRS_OF_POINT_AND_FACE // (2 * len(F))
+    return _spread(np.arange(len(F)), max(min(most, affordable), LEAST_PROBED_FACES))
 
 
 def _members(label: IntArray, count: int) -> list[IntArray]:
