@@ -31,6 +31,12 @@ def require_seed(seed: int) -> None:
         raise InputError(f"--seed must be at least 0, but is {seed}.")
 
 
+def require_hole_limit(diagonals: float) -> None:
+    """Refuse a length of holes that is none."""
+    if not diagonals >= 0:
+        raise InputError(f"--hole-limit must be a number of diagonals, at least 0, but is {diagonals}.")
+
+
 def require_folder_for(path: Path) -> None:
     """Refuse a path unless the nearest folder above that exists is one, and writable."""
     above = path.absolute().parent

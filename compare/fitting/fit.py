@@ -21,6 +21,7 @@ from torch import nn
 
 import implicit
 import meshref
+from compare.fitting.mending import Mending, mended
 from implicit.field.field import Field, Units
 from implicit.fitting.fit import FitStatus, Training, fit_field, require_training
 from implicit.fitting.subjects import starting_field
@@ -125,7 +126,8 @@ def fit_mesh(
         steps: Steps of training.
         seconds: Most time for the training; see fit_field.
         seed: Of the samples, the first weights and the batches. The same seed gives the same weights.
-        bodies: Whether several separate solids are kept, only the largest is, or they are refused.
+        bodies: Whether several separate solids are kept, only the largest is, or they are refused. Parts that overlap
+            or touch are united first, and a cavity belongs to its body.
         hole_limit: Longest boundary of a hole that is closed, in diagonals of the box round the mesh.
         progress: Called as progress(step, steps, loss).
         checkpoint: File from which an interrupted training goes on; see fit_field.
@@ -151,7 +153,7 @@ def fit_mesh(
     require_training({**options, "checkpoint": checkpoint, "module": module, **training})
     if module is not None or training.get("start") is not None:
         starting_field(module, training.get("start"), dimension=3)  # refused before the mesh is mended and sampled
-    V, F, mending = meshref.mend_mesh(V, F, bodies=bodies, hole_limit=hole_limit)
+    V, F, mending = mended(V, F, Mending(bodies, hole_limit))
     V, units = place_in_cube(V)
     query = meshref.SignedDistanceQuery(V, F)
     points = sample_space(V, F, seed)

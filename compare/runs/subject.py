@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import difflib
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -21,18 +21,35 @@ from compare.cases.case import BUNDLED, FIELD_SUFFIX, MESH_SUFFIXES, Case, NameO
 from compare.cases.subject import Subject
 from compare.errors import InputError, Progress
 from compare.files import plain, replace_file
+from compare.fitting.mending import Mending, read_mended
 from compare.runs.rows import SubjectRow
 
 if TYPE_CHECKING:
     from implicit import Field
 
 
-def check_shape(shape: str, module: str | None = None) -> list[str]:
+# What the refusals of meshref advise, as the options of this package.
+AS_OPTIONS = {
+    "Raise hole_limit to close it, or pass closed=False to leave it open.": (
+        "Raise --hole-limit to close it (in a case, hole_limit of its fit)."
+    ),
+    "Pass bodies='largest' or bodies='keep'.": (
+        "Take the largest with --bodies largest (in a case, bodies of its fit), or save one in a file of its own."
+    ),
+    "or pass bodies='largest' if there are others.": (
+        "or take the largest part with --bodies largest if there are others."
+    ),
+    ", or pass closed=False and a lower hole_limit to leave it open": "",
+}
+
+
+def check_shape(shape: str, module: str | None = None, mending: Mending | None = None) -> list[str]:
     """Refuse a shape that cannot be used, before any work; return what will be mended, in sentences.
 
     Args:
         shape: As for Case.
         module: As for Case; its code is run.
+        mending: How a mesh is made solid; by default one body, holes up to a diagonal of its box.
 
     Raises:
         InputError: There is no such shape or file, or the mesh is beyond mending.
@@ -50,7 +67,7 @@ def check_shape(shape: str, module: str | None = None) -> list[str]:
         if loaded.dimension != 3:
             raise InputError(f"{shape} holds a field in {loaded.dimension} dimensions, but a comparison needs 3.")
         return []
-    return load_mesh(shape)[2]
+    return load_mesh(shape, mending)[2]
 
 
 def modules_of(shapes: Sequence[str], module: str | None) -> dict[str, str | None]:
@@ -114,25 +131,33 @@ def _require_file(shape: str) -> str | None:
     return suffix
 
 
-def load_mesh(path: str) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"], list[str]]:
-    """Return the closed, outward mesh of one body in a file, and what was mended, in sentences.
+def load_mesh(
+    path: str, mending: Mending | None = None
+) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"], list[str]]:
+    """Return the closed, outward mesh in a file, and what was mended, in sentences.
+
+    Args:
+        path: The file.
+        mending: How it is made solid; by default one body, holes up to a diagonal of its box.
 
     Raises:
-        InputError: It cannot be read or mended, or holds several bodies.
+        InputError: It cannot be read or mended, or holds several bodies that are refused.
     """
     import meshref
 
     try:
-        V, F, report = meshref.mend_mesh(*meshref.read_mesh(path))
-        if report.bodies > 1:
-            raise InputError(
-                f"{path}: a comparison needs one body, but the mesh holds {report.bodies} that are not connected. Save "
-                "one of them in a file of its own."
-            )
-        V, F = meshref.check_mesh(V, F, closed=True)
+        V, F, report = read_mended(path, mending or Mending())
     except meshref.MeshError as error:
-        raise InputError(f"{path}: {error}") from error
+        sentence = str(error)
+        for library, here in AS_OPTIONS.items():
+            sentence = sentence.replace(library, here)
+        raise InputError(sentence if path in sentence else f"{path}: {sentence}") from error
     return V, F, [f"{path}: {step.rstrip('.')}." for step in report.steps]
+
+
+def mending_of(fit: Mapping[str, Any]) -> Mending:
+    """Return how the mesh of a case is made solid: two of the options of its fit."""
+    return Mending(**{name: fit[name] for name in ("bodies", "hole_limit") if name in fit})
 
 
 def prepare_subject(case: Case, *, folder: Path | None = None, progress: Progress | None = None) -> Subject:
@@ -246,13 +271,19 @@ def common_mesh(
 def _fit(case: Case, progress: Progress | None) -> tuple[Field, dict[str, Any], list[str]]:
     from compare.fitting.fit import fit_mesh
 
-    V, F, notes = load_mesh(case.shape)
+    options = case.parameters.get("fit", {})
+    mending = mending_of(options)
+    if mending.bodies == "keep":
+        raise InputError(
+            "A comparison needs one body, but the case keeps several. Take bodies='largest' or 'refuse' for its fit."
+        )
+    V, F, notes = load_mesh(case.shape, mending)
 
     def tell(step: int, steps: int, _: Any) -> None:
         if progress is not None:
             progress(step, steps, "fitting a field")
 
-    fitted, report = fit_mesh(V, F, seed=case.seed, progress=tell, **case.parameters.get("fit", {}))
+    fitted, report = fit_mesh(V, F, seed=case.seed, progress=tell, **{**options, **asdict(mending)})
     return fitted, report.to_dict(), [*notes, f"The fit of a field to {case.name}: {report.verdict}"]
 
 
