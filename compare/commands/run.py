@@ -130,10 +130,10 @@ def _cases(
     cases: list[Case] = []
     for name, case in any_case.items():
         try:
-            V, N = waiting[name].result() if waiting else _surface(case, folder, tell)
+            V, N, bounds = waiting[name].result() if waiting else _surface(case, folder, tell)
         except (ValueError, OSError, WorkerDiedError) as error:
             raise InputError(f"{name}: {error}") from error
-        own = {**settings, "module": modules[name]}
+        own = {**settings, "module": modules[name], "bounds": bounds}
         cases += default_cases(name, V, N, operations=command.operations, quick=command.quick, fit=fit, **own)
     return cases
 
@@ -144,10 +144,11 @@ def _mending_options(command: Run) -> dict[str, Any]:
     return {name: value for name, value in options.items() if value != getattr(Mending(), name)}
 
 
-def _surface(case: Case, folder: Path, progress: Progress | None = None) -> tuple[ndarray, ndarray]:
-    """Return the vertices and normals of the common mesh of a case, whose subject is kept in the folder."""
+def _surface(case: Case, folder: Path, progress: Progress | None = None) -> tuple[ndarray, ndarray, ndarray]:
+    """Return the vertices and normals of the common mesh of a case, whose subject is kept in the folder, and the bounds
+    of its field."""
     subject = prepare_subject(case, folder=folder, progress=progress)
-    return subject.V, subject.N
+    return subject.V, subject.N, subject.field.bounds.cpu().numpy()
 
 
 def _require_run_folder(folder: Path, resume: bool) -> None:

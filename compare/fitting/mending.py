@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # the commands read Mending before anything else, and meshref
     from meshref import MendReport
 
 Bodies = Literal["keep", "largest", "refuse"]
-Mended: TypeAlias = "tuple[Float[ndarray, 'n 3'], Int[ndarray, 'm 3'], MendReport]"
+Mended: TypeAlias = "tuple[Float[ndarray, 'k 3'], Int[ndarray, 'l 3'], MendReport]"
 
 REMEMBERED = 6  # results; each mesh has three: by its file, as it was given, and as it has become, which share arrays
 

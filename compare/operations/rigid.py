@@ -31,6 +31,7 @@ class Rigid(Operation):
     # ripples, and bring the handles from 0.6 % of the pull to 0.5 %.
     full: Mapping[str, Any] = {"implicit": {"steps": 3, "points": 2000}}
     quick: Mapping[str, Any] = {"implicit": {"steps": 3, "points": 500}}
+    error_needs_other = False
     error_means = "local strain: half the root of the Killing energy density"
     error_name = "strain"
     error_is_length = False

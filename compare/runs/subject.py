@@ -14,6 +14,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
@@ -27,6 +28,11 @@ from compare.runs.rows import SubjectRow
 if TYPE_CHECKING:
     from implicit import Field
 
+
+# A void of a fit is spurious below this share of the volume round it, and too small for the common mesh below so many
+# of its triangles.
+SPURIOUS = 1e-3
+LEAST_TRIANGLES_OF_A_CAVITY = 40
 
 # What the refusals of meshref advise, as the options of this package.
 AS_OPTIONS = {
@@ -248,24 +254,72 @@ def common_mesh(
     """Return the field's surface as even triangles with about that number of vertices, all on f = 0.
 
     Returns:
-        The largest body of the surface, and a sentence if there are others.
+        The largest body of the surface with its cavities, and sentences on what else there is.
     """
     import torch
 
     import implicit
     import meshref
 
-    V, F = implicit.extract_mesh(field, resolution)
-    bodies = meshref.component_count(V, F)
-    remarks = []
-    if bodies > 1:
-        V, F, _ = meshref.mend_mesh(V, F, bodies="largest")
-        remarks = [f"The surface of the field has {bodies} bodies; only the largest is compared."]
-    # n vertices carry 2n triangles; equilateral ones of that area have this side.
-    side = (2 * meshref.area(V, F) / (3**0.5 * vertices)) ** 0.5
-    V, F = meshref.isotropic_remesh(V, F, side)
+    V, F, remarks = _body(*implicit.extract_mesh(field, resolution), vertices)
+    V, F = meshref.isotropic_remesh(V, F, _side(V, F, vertices))
     V = implicit.project_to_surface(field, torch.from_numpy(V)).numpy()
     return *meshref.check_mesh(V, F, closed=True), remarks
+
+
+def _side(V: Float[ndarray, "n 3"], F: Int[ndarray, "m 3"], vertices: int) -> float:
+    """Return the side of equilateral triangles of which the surface takes twice as many as it shall have vertices."""
+    import meshref
+
+    return float((2 * meshref.area(V, F) / (3**0.5 * vertices)) ** 0.5)
+
+
+def _body(
+    V: Float[ndarray, "n 3"], F: Int[ndarray, "m 3"], vertices: int
+) -> tuple[Float[ndarray, "k 3"], Int[ndarray, "l 3"], list[str]]:
+    """Return the largest body of a field's surface with the cavities that are worth the name, and what was left out."""
+    import meshref
+
+    parts = meshref.component_count(V, F)
+    if parts == 1:
+        return V, F, []
+    V, F, report = meshref.mend_mesh(V, F, bodies="largest")
+    remarks = []
+    others = parts - report.bodies - report.cavities
+    if others:
+        crumbs = "one other piece, which is" if others == 1 else f"{others} other pieces, which are"
+        remarks.append(f"The surface of the field has {crumbs} not compared.")
+    part = meshref.components(V, F)
+    of_face = part[F[:, 0]]
+    surfaces = [F[of_face == k] for k in range(part.max() + 1)]
+    volumes = [_enclosed(V, faces) for faces in surfaces]
+    outer = max(volumes)
+    smallest = LEAST_TRIANGLES_OF_A_CAVITY * 3**0.5 / 4 * _side(V, F, vertices) ** 2
+    spurious = [
+        k
+        for k, volume in enumerate(volumes)
+        if volume < 0 and (-volume < SPURIOUS * outer or _area(V, surfaces[k]) < smallest)
+    ]
+    if spurious:
+        share = -sum(volumes[k] for k in spurious) / outer
+        voids = "a void" if len(spurious) == 1 else f"{len(spurious)} voids"
+        remarks.append(
+            f"The surface of the field has {voids} of {100 * share:.2g} % of its volume inside, which is too small to "
+            "be compared."
+        )
+        keep = ~np.isin(of_face, spurious)
+        used = np.unique(F[keep])
+        V, F = V[used], np.searchsorted(used, F[keep])
+    return V, F, remarks
+
+
+def _enclosed(V: Float[ndarray, "n 3"], F: Int[ndarray, "m 3"]) -> float:
+    A, B, C = (V - V[F[0, 0]])[F].transpose(1, 0, 2)
+    return float((A * np.cross(B, C)).sum() / 6)
+
+
+def _area(V: Float[ndarray, "n 3"], F: Int[ndarray, "m 3"]) -> float:
+    return float(np.linalg.norm(np.cross(V[F[:, 1]] - V[F[:, 0]], V[F[:, 2]] - V[F[:, 0]]), axis=1).sum() / 2)
 
 
 def _fit(case: Case, progress: Progress | None) -> tuple[Field, dict[str, Any], list[str]]:
