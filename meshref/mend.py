@@ -28,6 +28,7 @@ from meshref.check import (
 )
 from meshref.filling import least_area_triangles
 from meshref.measures import face_areas
+from meshref.printing import counted
 from meshref.solids import arrangement, part_volumes, unite
 from meshref.topology import (
     BoolArray,
@@ -291,7 +292,8 @@ def _crowded_edge(weld: _Weld, V: FloatArray) -> str | None:
         return None
     i, j = weld.kept[table.edges[crowded[0]]]
     return (
-        f"more than two faces meet in {len(crowded)} edges, first {table.faces[crowded[0]]} in the edge from "
+        f"more than two faces meet in {counted(len(crowded), 'edge', 'edges')}, "
+        f"first {table.faces[crowded[0]]} in the edge from "
         f"{place(V[i])} to {place(V[j])}: which of them bound the solid cannot be told. Cut them apart "
         "in a mesh editor."
     )

@@ -14,7 +14,7 @@ from compare.commands.checks import require_folder_for, require_hole_limit, requ
 from compare.commands.shown import add_task, progress_bars, say_mending, speaker, teller
 from compare.errors import InputError
 from compare.fitting.mending import Mending
-from compare.runs.subject import check_shape, load_mesh
+from compare.runs.subject import check_shape
 
 if TYPE_CHECKING:
     from torch import nn
@@ -71,11 +71,12 @@ def fit(command: Fit) -> int:
     say_mending(say, [str(command.mesh)], lambda name: check_shape(name, None, mending))
 
     import implicit
+    import meshref
     from compare.files import replace_file
     from compare.fitting.fit import fit_mesh
 
     module = None if command.module is None else _module(command.module)
-    V, F, _ = load_mesh(str(command.mesh), mending)
+    V, F = meshref.read_mesh(command.mesh)  # as it is, so that the report says what was mended; it is not done again
     with progress_bars(command.quiet) as bars:
         tell = teller(bars, add_task(bars, command.mesh.name, None))
         try:

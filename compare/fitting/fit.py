@@ -25,6 +25,7 @@ from compare.fitting.mending import Mending, mended
 from implicit.field.field import Field, Units
 from implicit.fitting.fit import FitStatus, Training, fit_field, require_training
 from implicit.fitting.subjects import starting_field
+from meshref.printing import counted
 
 SIDE = 1.6  # longest side of the mesh's box in the field's coordinates
 
@@ -299,7 +300,9 @@ def _compare_surfaces(
         found.faults.append(f"the volume is off by {found.volume_error:+.1%}, more than {GOOD_VOLUME:.0%}")
     components, genus = meshref.component_count(V, F), meshref.genus(V, F)
     if found.components != components:
-        found.faults.append(f"the field has {found.components} separate surfaces, the mesh {components}")
+        found.faults.append(
+            f"the field has {counted(found.components, 'surface', 'separate surfaces')}, the mesh {components}"
+        )
     try:
         found.genus = meshref.genus(V2, F2)
         if found.genus != genus:

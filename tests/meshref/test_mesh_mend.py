@@ -235,7 +235,7 @@ def with_nan():
         (lambda: (np.zeros((0, 3)), np.zeros((0, 3), dtype=int)), "needs vertices and faces"),
         (lambda: (box()[0], []), r"F must have shape \(m, 3\)"),
         (lambda: (np.ones((8, 3)), box()[1]), "V must span a box"),
-        (three_faces_on_an_edge, "more than two faces meet in 1 edges, first 3 in the edge from"),
+        (three_faces_on_an_edge, "more than two faces meet in one edge, first 3 in the edge from"),
         (moebius, "must have two sides.*Moebius"),
         (lambda: (np.eye(3), [[0, 1, 2]]), "cannot be closed|longer than the limit|is flat"),
     ],
