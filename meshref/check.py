@@ -285,8 +285,8 @@ def _require_oriented(V: FloatArray, F: IntArray, *, closed: bool) -> None:
         i, j = table.edges[crowded[0]]
         raise MeshError(
             f"an edge must have at most two faces, but {counted(len(crowded), 'edge is', 'edges are')} not manifold, "
-            f"first the edge of vertices {i} and {j} near {place(V[i])} with {table.faces[crowded[0]]} faces. mend_mesh removes doubled "
-            "faces; anything else has to be cut apart in a mesh editor."
+            f"first the edge of vertices {i} and {j} near {place(V[i])} with {table.faces[crowded[0]]} "
+            "faces. mend_mesh removes doubled faces; anything else has to be cut apart in a mesh editor."
         )
     against = disagreeing_pairs(F, table)
     if len(against):
@@ -312,7 +312,8 @@ def _require_solid(V: FloatArray, F: IntArray) -> None:
         pinched = np.flatnonzero(np.bincount(pairs[:, 0], minlength=len(V)) > 1)
         raise MeshError(
             "the faces round a vertex must form one fan, but "
-            f"{counted(len(pinched), 'vertex joins', 'vertices join')} several sheets, first vertex {pinched[0]} at {place(V[pinched[0]])}. Separate the sheets with mend_mesh."
+            f"{counted(len(pinched), 'vertex joins', 'vertices join')} several sheets, first "
+            f"vertex {pinched[0]} at {place(V[pinched[0]])}. Separate the sheets with mend_mesh."
         )
     enclosed = signed_volume(V, F)
     if enclosed <= 0:

@@ -43,6 +43,8 @@ class Fit:
     """What is done with several bodies that are not connected: refused, only the largest fitted, or all."""
     hole_limit: Annotated[float, tyro.conf.arg(metavar="DIAGONALS")] = 1.0
     """Longest way round a hole that is closed, in diagonals of the mesh's box."""
+    budget: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
+    """Seconds in which a fit below the stated quality begins anew, twice as wide each time; the best is kept."""
     checkpoint: Path | None = None
     """A file to keep the state of the training in; if it is there already, the training goes on from it."""
     seed: int = 0
@@ -91,6 +93,7 @@ def fit(command: Fit) -> int:
                 seed=command.seed,
                 bodies=command.bodies,
                 hole_limit=command.hole_limit,
+                budget=command.budget,
                 checkpoint=command.checkpoint,
                 progress=lambda step, steps, _: tell(step, steps, "fitting a field"),
             )

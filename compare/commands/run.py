@@ -15,7 +15,7 @@ from numpy import ndarray
 from compare.cases.case import BUNDLED, Case
 from compare.cases.default_cases import QUICK_FIT, QUICK_SIZE, case_of_subject, default_cases
 from compare.cases.registry import OPERATIONS
-from compare.commands.checks import absolute_name, require_folder_for, require_hole_limit, require_seed
+from compare.commands.checks import absolute_name, require_budget, require_folder_for, require_hole_limit, require_seed
 from compare.commands.exits import FAILED
 from compare.commands.shown import (
     add_task,
@@ -56,6 +56,8 @@ class Run:
     """What is done with meshes of several bodies that are not connected: refused, or only the largest compared."""
     hole_limit: Annotated[float, tyro.conf.arg(metavar="DIAGONALS")] = 1.0
     """Longest way round a hole of a mesh that is closed, in diagonals of its box."""
+    budget: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
+    """Seconds in which the fit of a mesh that is below the stated quality begins anew, twice as wide each time."""
     seed: int = 0
     """Of every random choice."""
     module: Annotated[str | None, tyro.conf.arg(metavar="FILE.py:FUNCTION")] = None
@@ -84,6 +86,7 @@ def run(command: Run) -> int:
     _require_distinct(command.shapes)
     modules = modules_of(command.shapes, command.module)
     require_hole_limit(command.hole_limit)
+    require_budget(command.budget)
     mending = Mending(command.bodies, command.hole_limit)
     mended = say_mending(say, command.shapes, lambda name: check_shape(name, modules[name], mending))
 
@@ -118,7 +121,7 @@ def _cases(
     command: Run, modules: Mapping[str, str | None], folder: Path, executor: Executor | None, tell: Progress
 ) -> list[Case]:
     """Prepare the shapes, which may fit a network to each, and find the handles on them."""
-    fit = {**(QUICK_FIT if command.quick else {}), **_mending_options(command)}
+    fit = {**(QUICK_FIT if command.quick else {}), **_fit_options(command)}
     settings: dict[str, Any] = {"seed": command.seed, **(QUICK_SIZE if command.quick else {})}
     # What decides the subject is the same for all cases of a shape.
     any_case = {name: case_of_subject(name, fit, **settings, module=modules[name]) for name in command.shapes}
@@ -138,10 +141,11 @@ def _cases(
     return cases
 
 
-def _mending_options(command: Run) -> dict[str, Any]:
+def _fit_options(command: Run) -> dict[str, Any]:
     """Return the options of a fit that the command sets; none by default, so that keys of cases stay what they were."""
     options = {"bodies": command.bodies, "hole_limit": command.hole_limit}
-    return {name: value for name, value in options.items() if value != getattr(Mending(), name)}
+    changed = {name: value for name, value in options.items() if value != getattr(Mending(), name)}
+    return changed if command.budget is None else {**changed, "budget": command.budget}
 
 
 def _surface(case: Case, folder: Path, progress: Progress | None = None) -> tuple[ndarray, ndarray, ndarray]:
