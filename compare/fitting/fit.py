@@ -167,13 +167,13 @@ def fit_mesh(
     query = meshref.SignedDistanceQuery(V, F)
     points = sample_space(V, F, seed)
     answer = query(points)
-    samples = [torch.from_numpy(array) for array in (points, answer.distance, answer.normal)]
+    tensors = [torch.from_numpy(array) for array in (points, answer.distance, answer.normal)]
     training |= {"module": module, "units": units, "progress": progress, "checkpoint": checkpoint}
     attempts: list[tuple[Field, FitReport]] = []
     while True:
         start = perf_counter()
         time_limit = _shorter(seconds, None if budget is None else budget - (start - begun))
-        field, how = fit_field(*samples, **options, seconds=time_limit, **training)
+        field, how = fit_field(tensors[0], tensors[1], tensors[2], **options, seconds=time_limit, **training)
         attempts.append((field, _report(field, how, V, F, mending.steps, seed, begun, quality=quality)))
         last, spent = perf_counter() - start, perf_counter() - begun
         if attempts[-1][1].good or budget is None or options["width"] >= WIDEST:
