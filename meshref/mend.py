@@ -29,7 +29,7 @@ from meshref.check import (
 from meshref.filling import least_area_triangles
 from meshref.measures import face_areas
 from meshref.printing import counted
-from meshref.solids import arrangement, part_volumes, unite
+from meshref.solids import arrangement, hidden_faces, part_volumes, unite
 from meshref.topology import (
     BoolArray,
     FloatArray,
@@ -170,7 +170,14 @@ def _say_what_was_done(steps: list[str], closing: _Closing, solid: _Solid, chose
     taken = taken.replace(" it", " them") if chosen.cavities > 1 else taken
     _say(steps, chosen.cavities, f"took {{}} {{}} inside another for a cavity{taken}", "surface", "surfaces")
     crossings = solid.self_intersections
-    _say(steps, crossings, "found {} {} of faces that pass through each other, and left them so", "pair", "pairs")
+    within = ""
+    if crossings and not left_open:
+        areas = face_areas(chosen.V, chosen.F)
+        share = float(areas[hidden_faces(chosen.V, chosen.F)].sum() / areas.sum())
+        if share > 0:
+            within = f"; {100 * share:.2g} % of the surface lies within the solid, which the volume counts twice"
+    found = f"found {{}} {{}} of faces that pass through each other, and left them so{within}"
+    _say(steps, crossings, found, "pair", "pairs")
 
 
 def _require_options(merge_distance: float | None, bodies: str, hole_limit: float) -> None:

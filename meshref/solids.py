@@ -21,7 +21,7 @@ from scipy.sparse import csgraph
 from scipy.spatial import cKDTree
 
 from meshref.check import FLATTEST_FACE, MeshError, place, relative_heights, signed_volume
-from meshref.measures import doubled_area_vectors, face_areas
+from meshref.measures import doubled_area_vectors, face_areas, unit_or_zero
 from meshref.topology import BoolArray, FloatArray, IntArray, half_edges, vertex_components
 
 # Faces at which winding numbers are looked at, on both sides, spread evenly over those of a group of parts: at most so
@@ -41,6 +41,8 @@ PLACE_IN_FACE = np.array([0.29417, 0.38146, 0.32437])
 
 # How far beside a face, as a part of the size: well above rounding, and well below the thickness of any plate.
 BESIDE = 1e-9
+
+HIDDEN_BESIDE = 1e-4  # the same where faces are told to lie within the solid
 
 # Vertices by which a part that crosses none is said to be inside another.
 PROBED_VERTICES = 60
@@ -351,6 +353,22 @@ def inverted_face(V: FloatArray, F: IntArray) -> int | None:
     total = np.bincount(part[probed], weights=areas, minlength=parts)
     wrong = np.bincount(part[probed], weights=areas * backwards, minlength=parts)
     return next(iter(np.flatnonzero(wrong[part] > total[part] / 2).tolist()), None)
+
+
+def hidden_faces(V: FloatArray, F: IntArray) -> BoolArray:
+    """Return which faces, (m,), have the solid on both sides, or on neither, a ten-thousandth of the size beside them.
+
+    They are walls within it, where a part passes through itself.
+    """
+    areas = face_areas(V, F)
+    normals = unit_or_zero(doubled_area_vectors(V, F))
+    points = np.einsum("c,kcx->kx", PLACE_IN_FACE, V[F])
+    away = HIDDEN_BESIDE * float(np.linalg.norm(np.ptp(V, axis=0))) * normals
+    tree = igl.FastWindingNumberBVH()  # in single precision, which is enough at that distance
+    middle = V.mean(axis=0)
+    tree.init(V - middle, F, 2)
+    outer, inner = (np.asarray(tree.winding_number(points + side - middle)).reshape(-1) > 0.5 for side in (away, -away))
+    return np.asarray((outer == inner) & (areas > 0))
 
 
 class _Wound(NamedTuple):

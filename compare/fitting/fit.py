@@ -25,7 +25,9 @@ from compare.fitting.mending import Mending, mended
 from implicit.field.field import Field, Units
 from implicit.fitting.fit import FitStatus, Training, fit_field, require_training
 from implicit.fitting.subjects import starting_field
+from meshref.distance import SignedDistance
 from meshref.printing import counted
+from meshref.solids import hidden_faces
 
 SIDE = 1.6  # longest side of the mesh's box in the field's coordinates
 
@@ -167,6 +169,11 @@ def fit_mesh(
     query = meshref.SignedDistanceQuery(V, F)
     points = sample_space(V, F, seed)
     answer = query(points)
+    if mending.self_intersections:
+        # The distance to a wall within the solid is none to its surface: the field would have a sheet there.
+        seen = ~hidden_faces(V, F)[answer.face]
+        points = points[seen]
+        answer = SignedDistance(answer.distance[seen], answer.closest[seen], answer.face[seen], answer.normal[seen])
     tensors = [torch.from_numpy(array) for array in (points, answer.distance, answer.normal)]
     training |= {"module": module, "units": units, "progress": progress, "checkpoint": checkpoint}
     attempts: list[tuple[Field, FitReport]] = []

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from meshref import MeshError, area, box, check_mesh, genus, icosphere, mend_mesh, volume
+from meshref.solids import hidden_faces
 
 
 def joined(*meshes):
@@ -160,3 +161,44 @@ def test_a_small_part_that_cannot_be_closed_is_dropped_with_the_largest_kept():
     V, F, report = mended(V, F, bodies="largest", hole_limit=0.1)
     assert volume(V, F) == pytest.approx(volume(*BALL), rel=1e-13)
     assert "dropped 1 smaller part that cannot be closed" in report.steps
+
+
+def figure_of_eight(around=120, radius=0.12):
+    """Return a tube along a figure of eight, which passes through itself in the middle."""
+    t = np.linspace(0, 2 * np.pi, around, endpoint=False)
+    middle = np.stack([np.sin(t), np.sin(t) * np.cos(t), 0 * t], axis=1)
+    along = np.roll(middle, -1, axis=0) - np.roll(middle, 1, axis=0)
+    side = np.cross(along / np.linalg.norm(along, axis=1)[:, None], [0, 0, 1.0])
+    u = 2 * np.pi * np.arange(24) / 24
+    up = np.array([0, 0, 1.0])
+    V = middle[:, None] + radius * (np.cos(u)[:, None] * side[:, None] + np.sin(u)[:, None] * up)
+    i, j = (k.ravel() for k in np.indices((around, 24)))
+    a, b, c, d = (24 * ((i + p) % around) + (j + q) % 24 for p, q in ((0, 0), (1, 0), (1, 1), (0, 1)))
+    F = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    return V.reshape(-1, 3), F
+
+
+def test_walls_within_a_part_that_passes_through_itself_are_found_and_said():
+    """Where its two strands cross at right angles: a face is hidden if its middle is nearer to the other strand."""
+    V, F = figure_of_eight()
+    if volume(V, F) < 0:
+        F = F[:, ::-1]
+    V, F, report = mended(V, F)
+    hidden = hidden_faces(V, F)
+    assert report.self_intersections > 0
+    step = next(step for step in report.steps if "pass through each other" in step)
+    assert "of the surface lies within the solid, which the volume counts twice" in step
+    middles = V[F].mean(axis=1)
+    # Near the middle the strands are straight, along (1, 1) and (1, -1), and a hidden face lies in the other one.
+    across = middles[:, :2] @ (np.array([[1, 1], [1, -1]]) / 2**0.5)
+    nearest = np.hypot(across, middles[:, 2:]).min(axis=1)
+    near = np.linalg.norm(middles, axis=1) < 0.25
+    assert 0.01 < hidden.mean() < 0.1
+    assert near[hidden].all()
+    assert nearest[hidden].max() < 0.12
+    assert hidden[near & (nearest < 0.1)].all()
+
+
+def test_a_mesh_that_crosses_nowhere_hides_nothing():
+    for V, F in (BALL, HOLLOW, box((0, 0, 0), (1, 1, 0.01))):
+        assert not hidden_faces(V, F).any()

@@ -81,3 +81,42 @@ def test_two_balls_that_overlap_are_united_before_they_are_fitted(monkeypatch):
     meshed = meshref.volume(*meshref.mend_mesh(*both)[:2])
     assert meshed == pytest.approx(wanted, rel=0.01)
     assert abs(report.volume_error) < 0.02
+
+
+def test_a_tube_through_itself_is_fitted_without_walls_inside(monkeypatch):
+    """Two strands cross; with the walls of each inside the other as f = 0, the field would have pieces there."""
+    from compare.fitting import fit
+
+    V, F = self_crossing_tube()
+    given = []
+
+    def keep(points, distances, normals, **_):
+        given.extend((points.numpy(), distances.numpy()))
+        raise InterruptedError
+
+    monkeypatch.setattr(fit, "fit_field", keep)
+    with pytest.raises(InterruptedError):
+        fit_mesh(V, F, steps=1)
+    points, distances = given
+    scale = 0.8 / np.abs(V).max()
+    # Near the middle the strands are straight, along (1, 1) and (1, -1): so deep a point lies in them at least.
+    near = (
+        points[np.linalg.norm(points, axis=1) < 0.15 * scale],
+        distances[np.linalg.norm(points, axis=1) < 0.15 * scale],
+    )
+    across = near[0][:, :2] @ (np.array([[1, 1], [1, -1]]) / 2**0.5)
+    depth = 0.12 * scale - np.hypot(across, near[0][:, 2:]).min(axis=1)
+    assert (depth > 0.03 * scale).sum() > 20
+    assert (-near[1] > depth - 0.02 * scale).all()
+
+
+def self_crossing_tube(around=120, radius=0.12):
+    t = np.linspace(0, 2 * np.pi, around, endpoint=False)
+    middle = np.stack([np.sin(t), np.sin(t) * np.cos(t), 0 * t], axis=1)
+    along = np.roll(middle, -1, axis=0) - np.roll(middle, 1, axis=0)
+    side = np.cross(along / np.linalg.norm(along, axis=1)[:, None], [0, 0, 1.0])
+    u = 2 * np.pi * np.arange(24) / 24
+    V = middle[:, None] + radius * (np.cos(u)[:, None] * side[:, None] + np.sin(u)[:, None] * np.array([0, 0, 1.0]))
+    i, j = (k.ravel() for k in np.indices((around, 24)))
+    a, b, c, d = (24 * ((i + p) % around) + (j + q) % 24 for p, q in ((0, 0), (1, 0), (1, 1), (0, 1)))
+    return V.reshape(-1, 3), np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
