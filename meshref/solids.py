@@ -356,19 +356,26 @@ def inverted_face(V: FloatArray, F: IntArray) -> int | None:
 
 
 def hidden_faces(V: FloatArray, F: IntArray) -> BoolArray:
-    """Return which faces, (m,), have the solid on both sides, or on neither, a ten-thousandth of the size beside them.
+    """Return which faces, (m,), lie within the solid in their middle, where a part passes through itself."""
+    middles = np.einsum("c,kcx->kx", PLACE_IN_FACE, V[F])
+    return hidden_points(V, F, middles, np.arange(len(F))) & (face_areas(V, F) > 0)
 
-    They are walls within it, where a part passes through itself.
+
+def hidden_points(V: FloatArray, F: IntArray, points: FloatArray, faces: IntArray) -> BoolArray:
+    """Return which points of a surface, (k,), have the solid on both sides, or on neither.
+
+    Args:
+        V, F: The surface.
+        points: On it, (k, 3).
+        faces: On which of its faces each lies, (k,).
     """
-    areas = face_areas(V, F)
-    normals = unit_or_zero(doubled_area_vectors(V, F))
-    points = np.einsum("c,kcx->kx", PLACE_IN_FACE, V[F])
+    normals = unit_or_zero(doubled_area_vectors(V, F))[faces]
     away = HIDDEN_BESIDE * float(np.linalg.norm(np.ptp(V, axis=0))) * normals
     tree = igl.FastWindingNumberBVH()  # in single precision, which is enough at that distance
     middle = V.mean(axis=0)
     tree.init(V - middle, F, 2)
     outer, inner = (np.asarray(tree.winding_number(points + side - middle)).reshape(-1) > 0.5 for side in (away, -away))
-    return np.asarray((outer == inner) & (areas > 0))
+    return np.asarray(outer == inner)
 
 
 class _Wound(NamedTuple):

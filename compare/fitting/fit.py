@@ -27,7 +27,7 @@ from implicit.fitting.fit import FitStatus, Training, fit_field, require_trainin
 from implicit.fitting.subjects import starting_field
 from meshref.distance import SignedDistance
 from meshref.printing import counted
-from meshref.solids import hidden_faces
+from meshref.solids import hidden_points
 
 SIDE = 1.6  # longest side of the mesh's box in the field's coordinates
 
@@ -171,7 +171,7 @@ def fit_mesh(
     answer = query(points)
     if mending.self_intersections:
         # The distance to a wall within the solid is none to its surface: the field would have a sheet there.
-        seen = ~hidden_faces(V, F)[answer.face]
+        seen = ~hidden_points(V, F, answer.closest, answer.face)
         points = points[seen]
         answer = SignedDistance(answer.distance[seen], answer.closest[seen], answer.face[seen], answer.normal[seen])
     tensors = [torch.from_numpy(array) for array in (points, answer.distance, answer.normal)]
