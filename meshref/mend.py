@@ -175,7 +175,7 @@ def _say_what_was_done(steps: list[str], closing: _Closing, solid: _Solid, chose
         areas = face_areas(chosen.V, chosen.F)
         share = float(areas[hidden_faces(chosen.V, chosen.F)].sum() / areas.sum())
         if share > 0:
-            within = f"; {100 * share:.2g} % of the surface lies within the solid, which the volume counts twice"
+            within = f"; {100 * share:.2g} % of the surface does not bound the solid: what it encloses is counted twice"
     found = f"found {{}} {{}} of faces that pass through each other, and left them so{within}"
     _say(steps, crossings, found, "pair", "pairs")
 
