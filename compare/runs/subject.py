@@ -166,6 +166,11 @@ def mending_of(fit: Mapping[str, Any]) -> Mending:
     return Mending(**{name: fit[name] for name in ("bodies", "hole_limit") if name in fit})
 
 
+def mending_of_settings(settings: Mapping[str, Any]) -> Mending:
+    """Return the same from settings by their dotted names, as a study has them."""
+    return mending_of({name.removeprefix("fit."): value for name, value in settings.items() if name.startswith("fit.")})
+
+
 def prepare_subject(case: Case, *, folder: Path | None = None, progress: Progress | None = None) -> Subject:
     """Return the subject of a case; with a folder, kept there and read back when another case has the same.
 

@@ -27,7 +27,7 @@ from compare.errors import InputError
 from compare.fitting.fit import fit_mesh, place_in_cube
 from compare.fitting.mending import Mending
 from compare.operations.operation import operation_of
-from compare.runs.subject import load_mesh, mending_of
+from compare.runs.subject import load_mesh, mending_of_settings
 from compare.studies.study import Study, settings_at
 from implicit.renamed import former_names
 from implicit.shapes import bundled
@@ -55,7 +55,7 @@ def plan(study: Study, inputs: Path, modules: Mapping[str, str | None] | None = 
     """
     check_options(study)
     cases = []
-    mending = mending_of({name.removeprefix("fit."): value for name, value in study.settings.items()})
+    mending = mending_of_settings(study.settings)
     for name in study.shapes:
         shape = _as_mesh(name, inputs) if _fits(study) and name in BUNDLED else name
         module = None if modules is None else modules.get(shape)
