@@ -116,7 +116,7 @@ def test_a_study_says_which_body_of_a_mesh_it_is_about(tmp_path):
     V, F = meshref.icosphere(2)
     meshref.write_mesh(tmp_path / "two.off", np.concatenate([V, V / 2 + 5]), np.concatenate([F, F + len(V)]))
     text = 'shapes = ["two.off"]\noperations = ["rigid"]\n[settings]\n{}\n[grid]\nvertices = [200]\n'
-    with pytest.raises(InputError, match="--bodies largest .in a case, bodies of its fit"):
+    with pytest.raises(InputError, match=r"--bodies largest \(in a case, bodies of its fit"):
         plan(find_study(write(tmp_path, text.format(""))), tmp_path)
     (case,) = plan(find_study(write(tmp_path, text.format('fit.bodies = "largest"'))), tmp_path)
     assert case.parameters["fit"]["bodies"] == "largest"
