@@ -128,6 +128,13 @@ def _unions(rng: np.random.Generator) -> Iterator[Nasty]:
         boxes = [(a, a + s, 1) for a, s in zip(lower, rng.integers(1, 4, (4 + k, 3)).astype(float))]
         truth = of_boxes(boxes)
         yield Nasty(f"boxes on whole numbers, {len(boxes)}", *mesh_of_boxes(boxes), truth["volume"], truth["area"])
+    for k in range(4):  # of unit squares: surfaces that cross along edges of both, and in no face
+        lower = rng.integers(0, 4, (3 + k, 3)).astype(float)
+        halvings = rng.integers(1, 3, 3 + k)
+        boxes = [(a, a + 2.0**h, 1) for a, h in zip(lower, halvings)]
+        truth = of_boxes(boxes)
+        meshes = [box(a, a + 2.0**h, subdivisions=int(h)) for a, h in zip(lower, halvings)]
+        yield Nasty(f"cubes of unit squares, {len(boxes)}", *joined(meshes), truth["volume"], truth["area"])
 
 
 def _shells(rng: np.random.Generator) -> Iterator[Nasty]:

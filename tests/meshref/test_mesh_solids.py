@@ -80,6 +80,34 @@ def test_boxes_that_overlap_or_touch_have_the_volume_and_area_of_their_union(low
         assert genus(V, F) == 0
 
 
+@pytest.mark.parametrize("subdivisions", [1, 2])
+@pytest.mark.parametrize(
+    ("shift", "bodies", "outside"),
+    [((0.5, 0.5, 0.5), 1, 10.5), ((0.5, 0, 0), 1, 8), ((1, 0, 0), 1, 10), ((1, 1, 0), 2, 12), ((0.5, 0.5, 1), 1, 11.5)],
+)
+def test_boxes_that_cross_along_their_edges_are_united(subdivisions, shift, bodies, outside):
+    """Edges of both lie on the curve of crossing, so that no face passes through another."""
+    V, F = box(subdivisions=subdivisions)
+    V, F, report = mended(*joined((V, F), (V + np.array(shift), F)))
+    assert (report.bodies, report.cavities) == (bodies, 0)
+    assert volume(V, F) == pytest.approx(2 - np.prod(1 - np.array(shift, dtype=float)), rel=1e-13)
+    assert area(V, F) == pytest.approx(outside, rel=1e-13)
+
+
+def test_a_cavity_that_touches_the_wall_in_an_edge_stays_a_cavity():
+    """An edge of the inner box, of the same length, lies in the place of an edge within the side of the outer one."""
+    outer_V, outer_F = box((0, 0, 0), (4, 4, 4), subdivisions=2)
+    inner_V, inner_F = box((1, 1, 1), (2, 2, 2))
+    inner_V[(inner_V == [1, 1, 1]).all(axis=1) | (inner_V == [2, 1, 1]).all(axis=1)] -= [
+        0,
+        0,
+        1,
+    ]  # two corners, drawn out
+    V, F, report = mended(*joined((outer_V, outer_F), (inner_V, inner_F)))
+    assert (report.bodies, report.cavities, report.united_parts) in ((1, 1, 0), (1, 0, 2))
+    assert volume(V, F) == pytest.approx(64 - volume(inner_V, inner_F), rel=1e-13)
+
+
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
 @pytest.mark.parametrize("offset", [0.0, 1e4])
 def test_a_union_is_as_good_in_any_unit_and_place(scale, offset):
