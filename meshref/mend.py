@@ -65,6 +65,7 @@ class MendReport:
     united_parts: int = 0  # that overlapped or touched, and are no longer there one by one
     volume_before_union: float = 0.0  # of these parts, each by itself, added up
     volume_after_union: float = 0.0  # of what has taken their place
+    hidden_area: float = 0.0  # share of the surface within the solid, where a part passes through itself
 
     def __repr__(self) -> str:
         bodies = f"{self.bodies} {'body' if self.bodies == 1 else 'bodies'}"
@@ -129,7 +130,10 @@ def mend_mesh(
     )
     solid = _as_solid(sheets.V, closing)
     chosen = _choose_bodies(solid, bodies)
-    _say_what_was_done(steps, closing, solid, chosen)
+    # A part can pass through itself along edges too, of vertices that were left apart.
+    doubtful = (solid.self_intersections or sheets.left_apart) and not closing.left_open
+    hidden = _hidden_share(chosen) if doubtful else 0.0
+    _say_what_was_done(steps, closing, solid, chosen, hidden)
     V, F = check_mesh(chosen.V, chosen.F, closed=not closing.left_open, oriented=True)
     report = MendReport(
         steps=tuple(steps),
@@ -147,11 +151,12 @@ def mend_mesh(
         united_parts=solid.united_parts,
         volume_before_union=solid.volume_before,
         volume_after_union=solid.volume_after,
+        hidden_area=hidden,
     )
     return V, F, report
 
 
-def _say_what_was_done(steps: list[str], closing: _Closing, solid: _Solid, chosen: _Chosen) -> None:
+def _say_what_was_done(steps: list[str], closing: _Closing, solid: _Solid, chosen: _Chosen, hidden: float) -> None:
     _say(steps, closing.dropped_parts, "dropped {} {} that cannot be closed", "smaller part", "smaller parts")
     _say(steps, chosen.dropped_bodies, "dropped {} smaller {}", "body", "bodies")
     everywhere = "all " if chosen.turned_faces == len(closing.given) else ""
@@ -169,15 +174,17 @@ def _say_what_was_done(steps: list[str], closing: _Closing, solid: _Solid, chose
     taken = f": volume {chosen.filled:.6g} without it, {chosen.filled - chosen.hollow:.6g} with it"
     taken = taken.replace(" it", " them") if chosen.cavities > 1 else taken
     _say(steps, chosen.cavities, f"took {{}} {{}} inside another for a cavity{taken}", "surface", "surfaces")
-    crossings = solid.self_intersections
-    within = ""
-    if crossings and not left_open:
-        areas = face_areas(chosen.V, chosen.F)
-        share = float(areas[hidden_faces(chosen.V, chosen.F)].sum() / areas.sum())
-        if share > 0:
-            within = f"; {100 * share:.2g} % of the surface does not bound the solid: what it encloses is counted twice"
-    found = f"found {{}} {{}} of faces that pass through each other, and left them so{within}"
-    _say(steps, crossings, found, "pair", "pairs")
+    crossings, within = solid.self_intersections, f"{100 * hidden:.2g} % of the surface lies within the solid"
+    found = "found {} {} of faces that pass through each other, and left them so"
+    _say(steps, crossings, f"{found}; {within}, and the volume counts it twice" if hidden else found, "pair", "pairs")
+    if hidden and not crossings:
+        steps.append(f"found that {within}, behind faces that meet in edges, and the volume counts it twice")
+
+
+def _hidden_share(chosen: _Chosen) -> float:
+    """Return the part of the surface that has the solid on both sides."""
+    areas = face_areas(chosen.V, chosen.F)
+    return float(areas[hidden_faces(chosen.V, chosen.F)].sum() / areas.sum())
 
 
 def _require_options(merge_distance: float | None, bodies: str, hole_limit: float) -> None:
@@ -198,6 +205,7 @@ class _Sheets(NamedTuple):
     dropped_vertices: int
     dropped_faces: int
     split_vertices: int
+    left_apart: int  # duplicate vertices that were not merged
 
 
 def _sheets(V: FloatArray, F: IntArray, merge_distance: float, steps: list[str]) -> _Sheets:
@@ -217,7 +225,7 @@ def _sheets(V: FloatArray, F: IntArray, merge_distance: float, steps: list[str])
     _say(steps, left_over, "dropped {} {} of removed faces", "vertex", "vertices")
     V, F, split = _split_pinched_vertices(V, F)
     _say(steps, split, "separated sheets that touched in {} {}", "vertex", "vertices")
-    return _Sheets(V, F, vertex_map, welded.merged, unused + left_over, welded.flat + welded.doubled, split)
+    return _Sheets(V, F, vertex_map, welded.merged, unused + left_over, welded.flat + welded.doubled, split, left_apart)
 
 
 def _oriented_alike(V: FloatArray, F: IntArray) -> IntArray:

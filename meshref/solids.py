@@ -426,7 +426,7 @@ def hidden_faces(V: FloatArray, F: IntArray) -> BoolArray:
 
 
 def hidden_points(V: FloatArray, F: IntArray, points: FloatArray, faces: IntArray) -> BoolArray:
-    """Return which points of a surface, (k,), have the solid on both sides, or on neither.
+    """Return which points of a surface, (k,), have the solid on both sides.
 
     Args:
         V, F: The surface.
@@ -439,7 +439,7 @@ def hidden_points(V: FloatArray, F: IntArray, points: FloatArray, faces: IntArra
     middle = V.mean(axis=0)
     tree.init(V - middle, F, 2)
     outer, inner = (np.asarray(tree.winding_number(points + side - middle)).reshape(-1) > 0.5 for side in (away, -away))
-    return np.asarray(outer == inner)
+    return np.asarray(outer & inner)
 
 
 class _Wound(NamedTuple):

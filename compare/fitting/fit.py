@@ -169,7 +169,7 @@ def fit_mesh(
     query = meshref.SignedDistanceQuery(V, F)
     points = sample_space(V, F, seed)
     answer = query(points)
-    if mending.self_intersections:
+    if mending.hidden_area > 0:
         # The distance to a wall within the solid is none to its surface: the field would have a sheet there.
         seen = ~hidden_points(V, F, answer.closest, answer.face)
         points = points[seen]

@@ -65,6 +65,7 @@ def mended(V: Float[ndarray, "n 3"], F: Int[ndarray, "m 3"], how: Mending) -> Me
         bodies=report.bodies,
         cavities=report.cavities,
         self_intersections=report.self_intersections,
+        hidden_area=report.hidden_area,
     )
     result = solid_V, solid_F, report
     _remember({_key(solid_V, solid_F, how): (solid_V, solid_F, again), key: result})
