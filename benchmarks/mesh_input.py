@@ -3,6 +3,8 @@
 import tempfile
 from pathlib import Path
 
+import numpy as np
+
 import meshref
 from benchmarks.common import VERTICES, sizes, spot_meshes
 
@@ -58,3 +60,23 @@ class Check:
 
     def time_area_as_a_floor(self, meshes, vertices):
         meshref.area(self.V, self.F)
+
+
+class Unite:
+    """Two boxes that overlap in an eighth, made one solid."""
+
+    params = sizes([4, 6])
+    param_names = ("subdivisions",)
+
+    def setup(self, subdivisions):
+        V, F = meshref.box(subdivisions=subdivisions)
+        self.V, self.F = np.concatenate([V, V + 0.5]), np.concatenate([F, F + len(V)])
+
+    def time_unite(self, subdivisions):
+        meshref.mend_mesh(self.V, self.F)
+
+    def track_volume_error(self, subdivisions):
+        """Of 2 - 1/8."""
+        return abs(meshref.volume(*meshref.mend_mesh(self.V, self.F)[:2]) / 1.875 - 1)
+
+    track_volume_error.unit = "relative"

@@ -15,6 +15,7 @@ import igl.predicates
 import numpy as np
 from numpy.typing import ArrayLike
 
+from meshref.printing import counted
 from meshref.topology import FloatArray, IntArray, corner_fans, disagreeing_pairs, edge_table, vertex_components
 
 # libigl finds cotangents from edge lengths (Heron), which loses everything once the height of a triangle is
@@ -73,7 +74,8 @@ def check_mesh(
         pairs = intersecting_faces(V, F)
         if len(pairs):
             raise MeshError(
-                f"faces must not pass through each other, but {len(pairs)} pairs do, first faces {pairs[0, 0]} and "
+                f"faces must not pass through each other, but {counted(len(pairs), 'pair does', 'pairs do')}, "
+                f"first faces {pairs[0, 0]} and "
                 f"{pairs[0, 1]} near {place(V[F[pairs[0, 0], 0]])}. Separate them in a mesh editor, or remesh."
             )
     return V, F
@@ -122,7 +124,7 @@ def finite_points(points: ArrayLike, name: str, what: str) -> FloatArray:
     wrong = np.flatnonzero(~np.isfinite(array).all(axis=1))
     if wrong.size:
         raise MeshError(
-            f"{name} must be finite, but {len(wrong)} rows are not, first {name}[{wrong[0]}] = "
+            f"{name} must be finite, but {counted(len(wrong), 'row is', 'rows are')} not, first {name}[{wrong[0]}] = "
             f"{place(array[wrong[0]])}. Repair the program or the file that wrote them; they cannot be guessed."
         )
     if np.abs(array).max(initial=0.0) > LARGEST_COORDINATE:
@@ -259,8 +261,8 @@ def _require_every_vertex_used(n: int, F: IntArray) -> None:
     unused = np.flatnonzero(np.bincount(F.ravel(), minlength=n) == 0)
     if unused.size:
         raise MeshError(
-            f"every vertex must belong to a face, but {len(unused)} are unreferenced, first vertex {unused[0]}. "
-            "Drop them with mend_mesh."
+            f"every vertex must belong to a face, but {counted(len(unused), 'is', 'are')} unreferenced, "
+            f"first vertex {unused[0]}. Drop them with mend_mesh."
         )
 
 
@@ -270,7 +272,8 @@ def _require_area(V: FloatArray, F: IntArray) -> None:
     if wrong.size:
         f = wrong[0]
         raise MeshError(
-            f"every face must have area, but {len(wrong)} are degenerate, first face {f} with corners {F[f].tolist()} "
+            f"every face must have area, but {counted(len(wrong), 'is', 'are')} degenerate, "
+            f"first face {f} with corners {F[f].tolist()} "
             f"near {place(V[F[f, 0]])} (height {heights[f]:.2g} of its longest side). Remove them with mend_mesh."
         )
 
@@ -281,23 +284,24 @@ def _require_oriented(V: FloatArray, F: IntArray, *, closed: bool) -> None:
     if crowded.size:
         i, j = table.edges[crowded[0]]
         raise MeshError(
-            f"an edge must have at most two faces, but {len(crowded)} edges are not manifold, first the edge of "
-            f"vertices {i} and {j} near {place(V[i])} with {table.faces[crowded[0]]} faces. mend_mesh removes doubled "
-            "faces; anything else has to be cut apart in a mesh editor."
+            f"an edge must have at most two faces, but {counted(len(crowded), 'edge is', 'edges are')} not manifold, "
+            f"first the edge of vertices {i} and {j} near {place(V[i])} with {table.faces[crowded[0]]} "
+            "faces. mend_mesh removes doubled faces; anything else has to be cut apart in a mesh editor."
         )
     against = disagreeing_pairs(F, table)
     if len(against):
         f, g = against[0] // 3
         raise MeshError(
-            f"neighbouring faces must be oriented alike, but {len(against)} pairs are not, first faces {f} and {g} "
+            f"neighbouring faces must be oriented alike, but {counted(len(against), 'pair is', 'pairs are')} not, "
+            f"first faces {f} and {g} "
             f"near {place(V[F[f, 0]])}. Turn them with mend_mesh."
         )
     open_edges = np.flatnonzero(table.faces == 1)
     if closed and open_edges.size:
         i, j = table.edges[open_edges[0]]
         raise MeshError(
-            f"the mesh must be closed, but {len(open_edges)} edges have a face on one side only, first the edge of "
-            f"vertices {i} and {j} near {place(V[i])}. Close holes with mend_mesh."
+            f"the mesh must be closed, but {counted(len(open_edges), 'edge has', 'edges have')} a face on one side "
+            f"only, first the edge of vertices {i} and {j} near {place(V[i])}. Close holes with mend_mesh."
         )
 
 
@@ -307,7 +311,8 @@ def _require_solid(V: FloatArray, F: IntArray) -> None:
         pairs = np.unique(np.stack([F.ravel(), fan], axis=1), axis=0)
         pinched = np.flatnonzero(np.bincount(pairs[:, 0], minlength=len(V)) > 1)
         raise MeshError(
-            f"the faces round a vertex must form one fan, but {len(pinched)} vertices join several sheets, first "
+            "the faces round a vertex must form one fan, but "
+            f"{counted(len(pinched), 'vertex joins', 'vertices join')} several sheets, first "
             f"vertex {pinched[0]} at {place(V[pinched[0]])}. Separate the sheets with mend_mesh."
         )
     enclosed = signed_volume(V, F)

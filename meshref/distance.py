@@ -13,13 +13,16 @@ import igl
 import numpy as np
 from numpy.typing import ArrayLike
 
-from meshref.check import check_mesh, finite_points
+from meshref.check import MeshError, check_mesh, finite_points, place
 from meshref.measures import doubled_area_vectors, summed_normals, unit_or_zero
 from meshref.printing import brief
+from meshref.solids import inverted_face
 from meshref.topology import FloatArray, IntArray, edge_table
 
 # Nearer to the surface than this part of the mesh's size, point minus nearest point is mostly rounding.
 ON_SURFACE = 1e-8
+
+_NOT_LOOKED_FOR = -1  # in place of a face that looks inwards
 
 
 class SignedDistance(NamedTuple):
@@ -38,7 +41,7 @@ def signed_distance(V: ArrayLike, F: ArrayLike, P: ArrayLike) -> SignedDistance:
     """Return distance, nearest point, face and normal of points P (k, 3); SignedDistanceQuery does so many times.
 
     Raises:
-        MeshError: check_mesh refuses the mesh, or P is not k finite points.
+        MeshError: check_mesh refuses the mesh, a part of it is inside out, or P is not k finite points.
     """
     return SignedDistanceQuery(V, F)(P)
 
@@ -55,7 +58,8 @@ class SignedDistanceQuery:
                 by more than half. Faces without area are allowed.
 
         Raises:
-            MeshError: check_mesh refuses the mesh.
+            MeshError: check_mesh refuses the mesh. Where the first sign is asked for, a part of it is inside out: every
+                sign there would be wrong.
         """
         V, F = check_mesh(V, F, degenerate="allow")
         # The trees work in coordinates about the middle, which keep more digits than those far from the origin.
@@ -66,6 +70,7 @@ class SignedDistanceQuery:
         self._tree.init(self._V, self._F)
         self._winding = igl.FastWindingNumberBVH()
         self._winding.init(self._V, self._F, 2)
+        self._inverted: int | None = _NOT_LOOKED_FOR
         self._normals: tuple[FloatArray, FloatArray, FloatArray] | None = None
 
     def __call__(self, P: ArrayLike) -> SignedDistance:
@@ -101,6 +106,14 @@ class SignedDistanceQuery:
         return np.sqrt(np.asarray(squared).reshape(-1)), face, np.asarray(closest).reshape(-1, 3)
 
     def _winding_number(self, points: FloatArray) -> FloatArray:
+        if self._inverted == _NOT_LOOKED_FOR:
+            self._inverted = inverted_face(self._V, self._F)
+        if self._inverted is not None:
+            raise MeshError(
+                f"faces must be oriented outwards, but those of the part of face {self._inverted} near "
+                f"{place(self._V[self._F[self._inverted, 0]] + self._middle)} look inwards, and inside and outside "
+                "would be taken for each other. Turn them with mend_mesh, or pass F[:, ::-1]."
+            )
         return np.asarray(self._winding.winding_number(points)).reshape(-1)
 
     def _surface_normals(self, face: IntArray, closest: FloatArray) -> FloatArray:

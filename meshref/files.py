@@ -1,4 +1,4 @@
-"""Read and write triangle meshes: Wavefront .obj, .off, .ply and .stl.
+"""Read and write triangle meshes: Wavefront .obj, .off, .ply and .stl; read .glb, .gltf, .3mf and .dae too.
 
 A broken file ends in one MeshError that names the line. Writing goes to a side file that takes the place of the old one
 at the end, so that an interruption loses nothing.
@@ -6,6 +6,7 @@ at the end, so that an interruption loses nothing.
 
 from __future__ import annotations
 
+import codecs
 import os
 import secrets
 from pathlib import Path
@@ -15,31 +16,35 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshref.check import MeshError, as_arrays
-from meshref.formats import obj, off, ply, stl
+from meshref.formats import obj, off, ply, scenes, stl
 from meshref.formats.text import DamageError
 from meshref.topology import FloatArray, IntArray
 
 FORMATS = {".obj": obj, ".off": off, ".ply": ply, ".stl": stl}
+# Read by other libraries, and not written: a scene of meshes becomes one mesh.
+SCENES = {".glb": scenes.read_gltf, ".gltf": scenes.read_gltf, ".3mf": scenes.read_3mf, ".dae": scenes.read_dae}
+READABLE = (*FORMATS, *SCENES)
 
 
 def read_mesh(path: str | os.PathLike[str]) -> tuple[FloatArray, IntArray]:
     """Return vertices V (n, 3) and faces F (m, 3) of a mesh file.
 
-    The order of vertices and faces is that of the file. Polygons are split into a fan of triangles. Texture
-    coordinates, normals and colours are left out, so a seam of texture coordinates in an .obj does not tear the
-    surface. An .stl file repeats the corners of every face; those with equal coordinates become one vertex.
+    The order of vertices and faces is that of the file. Polygons are split into triangles within them, concave ones
+    too. Texture coordinates, normals and colours are left out, so a seam of texture coordinates in an .obj does not
+    tear the surface. An .stl file repeats the corners of every face; those with equal coordinates become one vertex.
 
     Args:
-        path: A file whose name ends in .obj, .off, .ply or .stl, in capitals or not; .ply and .stl text or binary.
+        path: A file whose name ends in .obj, .off, .ply or .stl, in capitals or not; .ply and .stl text or binary. Also
+            .glb and .gltf, and with the packages of the extra "formats" .3mf and .dae; their scenes become one mesh.
 
     Raises:
         MeshError: The file is missing, empty, of another kind, damaged, or holds no triangle mesh. Coordinates that are
             not finite are let through, for check_mesh to name.
     """
     path = _as_path(path)
-    form = FORMATS.get(path.suffix.lower())
-    if form is None:
-        raise MeshError(f"the file must end in {', '.join(FORMATS)}, but is called {path.name!r}. Convert it first.")
+    suffix = path.suffix.lower()
+    if suffix not in READABLE:
+        raise MeshError(f"the file must end in {', '.join(READABLE)}, but is called {path.name!r}. Convert it first.")
     try:
         content = path.read_bytes()
     except FileNotFoundError:
@@ -48,13 +53,14 @@ def read_mesh(path: str | os.PathLike[str]) -> tuple[FloatArray, IntArray]:
         raise MeshError(f"{str(path)!r} is a directory. Give the file inside it.") from None
     except OSError as error:
         raise MeshError(f"the file {str(path)!r} cannot be read: {error.strerror}.") from None
+    content = _without_mark(content)
     if not content.strip():
         raise MeshError(f"the file {str(path)!r} is empty. Write it again, to the end.")
     try:
-        V, F = form.read(content)
+        V, F = FORMATS[suffix].read(content) if suffix in FORMATS else SCENES[suffix](path, content)
     except DamageError as damage:
         raise MeshError(
-            f"the file {str(path)!r} is no {path.suffix.lower()} mesh: {damage}. Write it again, or mend that place."
+            f"the file {str(path)!r} cannot be read as {suffix}: {damage}. Write it again, or mend that place."
         ) from None
     if len(V) == 0 or len(F) == 0:
         raise MeshError(
@@ -69,6 +75,18 @@ def read_mesh(path: str | os.PathLike[str]) -> tuple[FloatArray, IntArray]:
             f"the file has {len(V)} vertices. Was it cut short?"
         )
     return V, F
+
+
+def _without_mark(content: bytes) -> bytes:
+    """Return a text without the byte-order mark before it, and in bytes again if it was written in pairs of them."""
+    if content.startswith(codecs.BOM_UTF8):
+        return content[len(codecs.BOM_UTF8) :]
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        try:
+            return content.decode("utf-16").encode("latin-1", "replace")
+        except UnicodeDecodeError:  # bytes of a binary file, by chance
+            return content
+    return content
 
 
 def write_mesh(path: str | os.PathLike[str], V: ArrayLike, F: ArrayLike, *, quality: ArrayLike | None = None) -> None:

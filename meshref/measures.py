@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshref.check import MeshError, check_mesh, place, require_choice, signed_volume
+from meshref.printing import counted
 from meshref.topology import FloatArray, IntArray, edge_table, vertex_components
 
 
@@ -223,7 +224,7 @@ def _closed(V: ArrayLike, F: ArrayLike, what: str) -> tuple[FloatArray, IntArray
     if open_edges.size:
         i, j = table.edges[open_edges[0]]
         raise MeshError(
-            f"{what} needs a closed mesh, but {len(open_edges)} edges have a face on one side only, first the edge of "
-            f"vertices {i} and {j} near {place(V[i])}. Close holes with mend_mesh."
+            f"{what} needs a closed mesh, but {counted(len(open_edges), 'edge has', 'edges have')} a face on one side "
+            f"only, first the edge of vertices {i} and {j} near {place(V[i])}. Close holes with mend_mesh."
         )
     return V, F

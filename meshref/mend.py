@@ -1,7 +1,7 @@
 """Make the surface of a solid out of a mesh as found in the wild, and say what was done.
 
 In this order: merge duplicate vertices, drop faces without area and doubled faces, separate sheets that touch in
-a vertex, choose bodies, orient neighbours alike, close holes, turn faces outwards.
+a vertex, orient neighbours alike, close holes, unite parts that overlap, turn faces outwards, choose bodies.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-import igl
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
@@ -26,9 +25,11 @@ from meshref.check import (
     relative_heights,
     require_choice,
     require_positive,
-    signed_volume,
 )
+from meshref.filling import least_area_triangles
 from meshref.measures import face_areas
+from meshref.printing import counted
+from meshref.solids import arrangement, hidden_faces, part_volumes, unite
 from meshref.topology import (
     BoolArray,
     FloatArray,
@@ -43,9 +44,6 @@ from meshref.topology import (
 
 # A part with less volume than this, relative to its area to the power 3/2 (0.094 for a ball), is flat.
 FLAT = 1e-9
-
-# Loops up to this length are filled; the time grows with the cube: 5 s for 590 edges.
-LONGEST_FILLED_LOOP = 600
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +61,11 @@ class MendReport:
     open_holes: tuple[int, ...] = ()  # number of edges of each hole left open (closed=False)
     bodies: int = 1  # connected solids in the result
     cavities: int = 0  # surfaces inside a body, oriented towards its inside
-    self_intersections: int = 0  # pairs of faces that pass through each other; they are not mended
+    self_intersections: int = 0  # pairs of faces of one part that pass through each other; they are not mended
+    united_parts: int = 0  # that overlapped or touched, and are no longer there one by one
+    volume_before_union: float = 0.0  # of these parts, each by itself, added up
+    volume_after_union: float = 0.0  # of what has taken their place
+    hidden_area: float = 0.0  # share of the surface within the solid, where a part passes through itself
 
     def __repr__(self) -> str:
         bodies = f"{self.bodies} {'body' if self.bodies == 1 else 'bodies'}"
@@ -74,7 +76,8 @@ class MendReport:
     def changed(self) -> bool:
         """True if the result differs from the mesh that was given."""
         dropped = self.dropped_vertices + self.dropped_faces
-        return bool(self.merged_vertices + dropped + self.split_vertices + self.turned_faces + len(self.holes))
+        mended = self.merged_vertices + self.split_vertices + self.turned_faces + len(self.holes) + self.united_parts
+        return bool(dropped + mended)
 
 
 def mend_mesh(
@@ -88,8 +91,11 @@ def mend_mesh(
 ) -> tuple[FloatArray, IntArray, MendReport]:
     """Turn a mesh into the surface of a solid: closed, manifold, oriented outwards.
 
-    Vertices and faces that stay keep their order; faces that close holes come last. Faces that pass through each
-    other are counted, not mended.
+    Vertices and faces that stay keep their order; faces that close holes come last, and after them those of parts that
+    were united. Parts that overlap or touch in faces become one solid, that in which the surface winds round at least
+    once; where their faces look in contradicting ways, each part adds what it encloses, and one that lies wholly inside
+    another is a cavity. Where no parts overlap, a surface inside an odd number of others is a cavity, however its faces
+    look. Faces of one part that pass through each other are counted, not mended.
 
     Args:
         V: Vertices, (n, 3).
@@ -106,44 +112,79 @@ def mend_mesh(
 
     Raises:
         MeshError: Coordinates are not finite; indices are out of range; there are no faces; more than two faces meet in
-            an edge; a surface is one-sided or flat; a hole is too long; there are several bodies and they are refused.
+            an edge; a surface is one-sided or flat; a hole is too long; parts that overlap cannot be united; there are
+            several bodies and they are refused.
     """
     V, F = as_arrays(V, F)
     _require_options(merge_distance, bodies, hole_limit)
     steps: list[str] = []
     size = float(np.linalg.norm(V.max(axis=0) - V.min(axis=0)))
     sheets = _sheets(V, F, 1e-8 * size if merge_distance is None else merge_distance, steps)
-    chosen = _choose_bodies(sheets.V, sheets.F, sheets.vertex_map, bodies)
-    V, before, vertex_map = chosen.V, chosen.F, chosen.vertex_map
-    _say(steps, chosen.dropped_bodies, "dropped {} smaller {}", "body", "bodies")
-    F, holes, left_open = _close_holes(V, _oriented_alike(V, before), hole_limit * size, closed=closed)
-    F, parts, cavities = _face_outwards(V, F)
-    turned = int(np.count_nonzero((F[: len(before)] != before).any(axis=1)))
-    everywhere = "all " if turned == len(before) else ""
-    _say(steps, turned, f"turned {everywhere}{{}} {{}} that looked the wrong way", "face", "faces")
-    _say(steps, len(holes), f"closed {{}} {{}} (of {', '.join(map(str, holes))} edges)", "hole", "holes")
-    _say(steps, len(left_open), f"left {{}} {{}} open (of {', '.join(map(str, left_open))} edges)", "hole", "holes")
-    if parts - cavities > 1:
-        steps.append(f"kept {parts - cavities} bodies that are not connected")
-    _say(steps, cavities, "took {} {} inside another for a cavity", "surface", "surfaces")
-    crossings = len(intersecting_faces(V, F))
-    _say(steps, crossings, "found {} {} of faces that pass through each other, and left them so", "pair", "pairs")
-    V, F = check_mesh(V, F, closed=not left_open, oriented=True)
+    closing = _close_holes(
+        sheets.V,
+        _oriented_alike(sheets.V, sheets.F),
+        sheets.F,
+        hole_limit * size,
+        closed=closed,
+        drop=bodies == "largest",
+    )
+    solid = _as_solid(sheets.V, closing)
+    chosen = _choose_bodies(solid, bodies)
+    # A part can pass through itself along edges too, of vertices that were left apart.
+    doubtful = (solid.self_intersections or sheets.left_apart) and not closing.left_open
+    hidden = _hidden_share(chosen) if doubtful else 0.0
+    _say_what_was_done(steps, closing, solid, chosen, hidden)
+    V, F = check_mesh(chosen.V, chosen.F, closed=not closing.left_open, oriented=True)
     report = MendReport(
         steps=tuple(steps),
-        vertex_map=vertex_map,
+        vertex_map=_renumbered(_renumbered(sheets.vertex_map, solid.vertex_map), chosen.vertex_map),
         merged_vertices=sheets.merged_vertices,
-        dropped_vertices=sheets.dropped_vertices + chosen.dropped_vertices,
-        dropped_faces=sheets.dropped_faces + chosen.dropped_faces,
+        dropped_vertices=sheets.dropped_vertices + solid.dropped_vertices + chosen.dropped_vertices,
+        dropped_faces=sheets.dropped_faces + closing.dropped_faces + chosen.dropped_faces,
         split_vertices=sheets.split_vertices,
-        turned_faces=turned,
-        holes=tuple(holes),
-        open_holes=tuple(left_open),
-        bodies=parts - cavities,
-        cavities=cavities,
-        self_intersections=crossings,
+        turned_faces=chosen.turned_faces,
+        holes=tuple(closing.holes),
+        open_holes=tuple(closing.left_open),
+        bodies=chosen.bodies,
+        cavities=chosen.cavities,
+        self_intersections=solid.self_intersections,
+        united_parts=solid.united_parts,
+        volume_before_union=solid.volume_before,
+        volume_after_union=solid.volume_after,
+        hidden_area=hidden,
     )
     return V, F, report
+
+
+def _say_what_was_done(steps: list[str], closing: _Closing, solid: _Solid, chosen: _Chosen, hidden: float) -> None:
+    _say(steps, closing.dropped_parts, "dropped {} {} that cannot be closed", "smaller part", "smaller parts")
+    _say(steps, chosen.dropped_bodies, "dropped {} smaller {}", "body", "bodies")
+    everywhere = "all " if chosen.turned_faces == len(closing.given) else ""
+    _say(steps, chosen.turned_faces, f"turned {everywhere}{{}} {{}} that looked the wrong way", "face", "faces")
+    holes, left_open = closing.holes, closing.left_open
+    _say(steps, len(holes), f"closed {{}} {{}} (of {', '.join(map(str, holes))} edges)", "hole", "holes")
+    _say(steps, len(left_open), f"left {{}} {{}} open (of {', '.join(map(str, left_open))} edges)", "hole", "holes")
+    if solid.united_parts:
+        steps.append(
+            f"united {solid.united_parts} parts that overlap or touch: volume {solid.volume_before:.6g} before, part "
+            f"by part, and {solid.volume_after:.6g} after"
+        )
+    if chosen.bodies > 1:
+        steps.append(f"kept {chosen.bodies} bodies that are not connected")
+    taken = f": volume {chosen.filled:.6g} without it, {chosen.filled - chosen.hollow:.6g} with it"
+    taken = taken.replace(" it", " them") if chosen.cavities > 1 else taken
+    _say(steps, chosen.cavities, f"took {{}} {{}} inside another for a cavity{taken}", "surface", "surfaces")
+    crossings, within = solid.self_intersections, f"{100 * hidden:.2g} % of the surface lies within the solid"
+    found = "found {} {} of faces that pass through each other, and left them so"
+    _say(steps, crossings, f"{found}; {within}, and the volume counts it twice" if hidden else found, "pair", "pairs")
+    if hidden and not crossings:
+        steps.append(f"found that {within}, behind faces that meet in edges, and the volume counts it twice")
+
+
+def _hidden_share(chosen: _Chosen) -> float:
+    """Return the part of the surface that has the solid on both sides."""
+    areas = face_areas(chosen.V, chosen.F)
+    return float(areas[hidden_faces(chosen.V, chosen.F)].sum() / areas.sum())
 
 
 def _require_options(merge_distance: float | None, bodies: str, hole_limit: float) -> None:
@@ -164,6 +205,7 @@ class _Sheets(NamedTuple):
     dropped_vertices: int
     dropped_faces: int
     split_vertices: int
+    left_apart: int  # duplicate vertices that were not merged
 
 
 def _sheets(V: FloatArray, F: IntArray, merge_distance: float, steps: list[str]) -> _Sheets:
@@ -183,7 +225,7 @@ def _sheets(V: FloatArray, F: IntArray, merge_distance: float, steps: list[str])
     _say(steps, left_over, "dropped {} {} of removed faces", "vertex", "vertices")
     V, F, split = _split_pinched_vertices(V, F)
     _say(steps, split, "separated sheets that touched in {} {}", "vertex", "vertices")
-    return _Sheets(V, F, vertex_map, welded.merged, unused + left_over, welded.flat + welded.doubled, split)
+    return _Sheets(V, F, vertex_map, welded.merged, unused + left_over, welded.flat + welded.doubled, split, left_apart)
 
 
 def _oriented_alike(V: FloatArray, F: IntArray) -> IntArray:
@@ -265,7 +307,8 @@ def _crowded_edge(weld: _Weld, V: FloatArray) -> str | None:
         return None
     i, j = weld.kept[table.edges[crowded[0]]]
     return (
-        f"more than two faces meet in {len(crowded)} edges, first {table.faces[crowded[0]]} in the edge from "
+        f"more than two faces meet in {counted(len(crowded), 'edge', 'edges')}, "
+        f"first {table.faces[crowded[0]]} in the edge from "
         f"{place(V[i])} to {place(V[j])}: which of them bound the solid cannot be told. Cut them apart "
         "in a mesh editor."
     )
@@ -334,155 +377,196 @@ def _split_pinched_vertices(V: FloatArray, F: IntArray) -> tuple[FloatArray, Int
     return np.concatenate([V, V[owner[extra]]]), vertex_of_fan[fan].reshape(-1, 3), pinched
 
 
+class _Solid(NamedTuple):
+    """Faces oriented as those of a solid, and what it took."""
+
+    V: FloatArray
+    F: IntArray
+    vertex_map: IntArray  # (n,) new number of each vertex, -1 where it is gone
+    turned: BoolArray  # (m,) faces that looked the other way when given
+    self_intersections: int
+    dropped_vertices: int  # of parts that could not be closed
+    turned_and_united: int = 0  # faces that were turned of parts that are united
+    united_parts: int = 0
+    volume_before: float = 0.0
+    volume_after: float = 0.0
+
+
+def _as_solid(V: FloatArray, closing: _Closing) -> _Solid:
+    """Unite parts that cross, and orient each part outwards, or inwards where it is a cavity."""
+    V, F, number, unused = _drop_unused(V, closing.F, np.arange(len(V)))
+    crossings = intersecting_faces(V, F)
+    found = arrangement(V, F, crossings)
+    same = len(crossings) if closing.left_open else int(np.count_nonzero(np.equal(*found.part[crossings].T)))
+    to_unite = np.zeros(len(F), dtype=np.bool_)
+    united = None
+    if found.crosses.any() and not closing.left_open:
+        group = found.groups()
+        to_unite = np.isin(group, group[found.crosses.any(axis=1)])[found.part]
+        united = unite(V, F, found)
+    flip = _inwards(V, F, found.part, found.cavity)
+    oriented = _turned(F, flip)
+    turned = np.zeros(len(F), dtype=np.bool_)
+    turned[: len(closing.given)] = (oriented[: len(closing.given)] != closing.given).any(axis=1)
+    if united is None:
+        return _Solid(V, oriented, number, turned, same, unused)
+    new = np.zeros(len(united.F) - np.count_nonzero(~to_unite), dtype=np.bool_)
+    return _Solid(
+        united.V,
+        _turned(united.F, np.concatenate([flip[~to_unite], new])),
+        _renumbered(number, united.vertex_of),
+        np.concatenate([turned[~to_unite], new]),
+        same,
+        unused,
+        united.turned_faces,
+        united.parts,
+        united.volume_before,
+        united.volume_after,
+    )
+
+
+def _inwards(V: FloatArray, F: IntArray, part: IntArray, cavity: BoolArray) -> BoolArray:
+    """Return which faces look inwards, (m,), where a cavity's look out of the solid into it."""
+    volumes = part_volumes(V, F, part)
+    return np.asarray(((volumes < 0) != cavity)[part], dtype=np.bool_)
+
+
 class _Chosen(NamedTuple):
     V: FloatArray
     F: IntArray
     vertex_map: IntArray
+    bodies: int
+    cavities: int
+    filled: float  # volume without the cavities
+    hollow: float  # volume of the cavities
+    turned_faces: int
     dropped_faces: int = 0
     dropped_vertices: int = 0
     dropped_bodies: int = 0
 
 
-def _choose_bodies(
-    V: FloatArray, F: IntArray, vertex_map: IntArray, bodies: Literal["keep", "largest", "refuse"]
-) -> _Chosen:
-    parts, part = vertex_components(F, len(V))
-    if bodies == "keep" or parts == 1:
-        return _Chosen(V, F, vertex_map)
-    inside = _containment(V, F, parts, part)
-    solid = np.flatnonzero(inside.sum(axis=1) % 2 == 0)
-    if bodies == "refuse":
-        if len(solid) > 1:
-            i, j = (int(np.argmax(part == k)) for k in solid[:2])
-            raise MeshError(
-                f"the mesh must be one body, but it has {len(solid)} that are not connected, first those of vertices "
-                f"{i} at {place(V[i])} and {j} at {place(V[j])}. Pass bodies='largest' or bodies='keep'."
-            )
-        return _Chosen(V, F, vertex_map)
-    areas = np.bincount(part[F[:, 0]], weights=face_areas(V, F), minlength=parts)
-    largest = solid[np.argmax(areas[solid])]
-    keep = inside[:, largest] & (inside.sum(axis=1) == inside[largest].sum() + 1)  # its cavities, not what is in them
-    keep[largest] = True
-    kept_faces = keep[part[F[:, 0]]]
-    before, dropped_faces = len(V), int(np.count_nonzero(~kept_faces))
-    V, F, vertex_map, _ = _drop_unused(V, F[kept_faces], vertex_map)
-    return _Chosen(V, F, vertex_map, dropped_faces, before - len(V), len(solid) - 1)
-
-
-def _containment(V: FloatArray, F: IntArray, parts: int, part: IntArray) -> BoolArray:
-    """Return a matrix (parts, parts) whose entry [a, b] is True if part a lies inside part b.
-
-    Boxes are compared first, then the winding number is taken.
-    """
-    face_part = part[F[:, 0]]
-    lower, upper = np.full((parts, 3), np.inf), np.full((parts, 3), -np.inf)
-    np.minimum.at(lower, part, V)
-    np.maximum.at(upper, part, V)
-    probe = V[np.unique(part, return_index=True)[1]]
-    inside = np.zeros((parts, parts), dtype=np.bool_)
-    for b in range(parts):
-        candidates = np.flatnonzero((lower > lower[b]).all(axis=1) & (upper < upper[b]).all(axis=1))
-        if candidates.size:
-            winding = np.asarray(igl.winding_number(V, F[face_part == b], probe[candidates])).reshape(-1)
-            inside[candidates, b] = np.abs(winding) > 0.5
-    return inside
+def _choose_bodies(solid: _Solid, bodies: Literal["keep", "largest", "refuse"]) -> _Chosen:
+    V, F = solid.V, solid.F
+    found = arrangement(V, F, np.zeros((0, 2), dtype=np.int64))
+    volumes = part_volumes(V, F, found.part)
+    outer = np.flatnonzero(~found.cavity)
+    if bodies == "refuse" and len(outer) > 1:
+        i, j = (int(F[found.part == k].min()) for k in outer[:2])
+        raise MeshError(
+            f"the mesh must be one body, but it has {len(outer)} that are not connected, first those of vertices "
+            f"{i} at {place(V[i])} and {j} at {place(V[j])}. Pass bodies='largest' or bodies='keep'."
+        )
+    keep = np.ones(len(volumes), dtype=np.bool_)
+    if bodies == "largest":
+        areas = np.bincount(found.part, weights=face_areas(V, F), minlength=len(volumes))
+        largest = outer[np.argmax(areas[outer])]
+        # Its cavities, not what is in them.
+        keep = found.inside[:, largest] & (found.inside.sum(axis=1) == found.inside[largest].sum() + 1)
+        keep[largest] = True
+    kept_faces = keep[found.part]
+    new_V, new_F, number, _ = _drop_unused(V, F[kept_faces], np.arange(len(V)))
+    filled, hollow = (float(np.abs(volumes[keep & which]).sum()) for which in (~found.cavity, found.cavity))
+    return _Chosen(
+        new_V,
+        new_F,
+        number,
+        bodies=int(np.count_nonzero(keep & ~found.cavity)),
+        cavities=int(np.count_nonzero(keep & found.cavity)),
+        filled=filled,
+        hollow=hollow,
+        turned_faces=int(np.count_nonzero(solid.turned & kept_faces)) + solid.turned_and_united,
+        dropped_faces=int(np.count_nonzero(~kept_faces)),
+        dropped_vertices=len(V) - len(new_V),
+        dropped_bodies=len(outer) - int(np.count_nonzero(keep & ~found.cavity)),
+    )
 
 
 def _turned(F: IntArray, flip: BoolArray) -> IntArray:
     return np.where(flip[:, None], F[:, [0, 2, 1]], F)
 
 
-def _close_holes(V: FloatArray, F: IntArray, limit: float, *, closed: bool) -> tuple[IntArray, list[int], list[int]]:
+class _Closing(NamedTuple):
+    F: IntArray  # faces oriented alike, those given first
+    given: IntArray  # the faces given as they were, without those of dropped parts
+    holes: list[int]  # edges of each hole that was closed
+    left_open: list[int]
+    dropped_parts: int = 0
+    dropped_faces: int = 0
+
+
+def _close_holes(V: FloatArray, F: IntArray, given: IntArray, limit: float, *, closed: bool, drop: bool) -> _Closing:
+    """Close the holes, and drop or refuse parts that cannot be closed or are flat.
+
+    Args:
+        V: Vertices, (n, 3).
+        F: Faces, (m, 3), oriented alike.
+        given: The same as they were given.
+        limit: Longest boundary of a hole that is closed.
+        closed: Whether a longer one is refused, or left open.
+        drop: Whether parts other than that of the largest area are dropped where they would be refused.
+    """
+    parts, part = vertex_components(F, len(V))
+    largest = int(np.argmax(np.bincount(part[F[:, 0]], weights=face_areas(V, F), minlength=parts)))
     table = edge_table(F, len(V))
-    loops = sorted(boundary_loops(F, table), key=len)
     existing = set(map(tuple, table.edges.tolist()))
     holes, left_open, filled = [], [], [F]
-    for loop in loops:
-        length = float(np.linalg.norm(V[loop] - V[np.roll(loop, -1)], axis=1).sum())
-        if length > limit:
-            if closed:
-                raise MeshError(
-                    f"the mesh has a hole of {len(loop)} edges at {place(V[loop[0]])}, {length:.4g} round, longer than "
-                    f"the limit of {limit:.4g}. Raise hole_limit to close it, or pass closed=False to leave it open."
-                )
-            left_open.append(len(loop))
+    dropped: set[int] = set()
+    for loop in sorted(boundary_loops(F, table), key=len):
+        of = int(part[loop[0]])
+        try:
+            patch = _patch(V, loop, limit, existing, closed=closed)
+        except MeshError:
+            if not drop or of == largest:
+                raise
+            dropped.add(of)
             continue
-        patch = _fill(V, loop[::-1], existing)  # the other way round than the faces beside it
+        if patch is None:
+            left_open.append((of, len(loop)))
+            continue
         filled.append(patch)
         existing |= set(map(tuple, np.sort(half_edges(patch), axis=1).tolist()))
-        holes.append(len(loop))
-    return np.concatenate(filled), holes, left_open
+        holes.append((of, len(loop)))
+    every = np.concatenate(filled)
+    dropped |= _flat_parts(V, every, part[every[:, 0]], None if not drop else largest) - dropped
+    keep = ~np.isin(part[every[:, 0]], list(dropped))
+    return _Closing(
+        every[keep],
+        given[keep[: len(F)]],
+        [size for of, size in holes if of not in dropped],
+        [size for of, size in left_open if of not in dropped],
+        len(dropped),
+        int(np.count_nonzero(~keep[: len(F)])),
+    )
 
 
-def _fill(V: FloatArray, loop: IntArray, existing: set[tuple[int, int]]) -> IntArray:
-    """Return triangles over a closed loop of vertices, of least area, with no new vertex and no edge there is already.
+def _patch(
+    V: FloatArray, loop: IntArray, limit: float, existing: set[tuple[int, int]], *, closed: bool
+) -> IntArray | None:
+    length = float(np.linalg.norm(V[loop] - V[np.roll(loop, -1)], axis=1).sum())
+    if length <= limit:
+        return least_area_triangles(V, loop[::-1], existing)  # the other way round than the faces beside it
+    if closed:
+        raise MeshError(
+            f"the mesh has a hole of {len(loop)} edges at {place(V[loop[0]])}, {length:.4g} round, longer than "
+            f"the limit of {limit:.4g}. Raise hole_limit to close it, or pass closed=False to leave it open."
+        )
+    return None
 
-    best[i, j] is the cheapest triangulation of the polygon i..j, by splitting off the triangle i, k, j.
-    Source: Barequet and Sharir, "Filling gaps in the boundary of a polyhedron", 1995.
+
+def _flat_parts(V: FloatArray, F: IntArray, part: IntArray, largest: int | None) -> set[int]:
+    """Return the parts that enclose no volume.
+
+    Raises:
+        MeshError: There is one, and none may be dropped or it is the largest.
     """
-    n = len(loop)
-    if n > LONGEST_FILLED_LOOP:
+    # Each about its own middle, so that the sign means something for a part that has been left open.
+    volumes = part_volumes(V, F, part)
+    areas = np.bincount(part, weights=face_areas(V, F), minlength=len(volumes))
+    flat = np.flatnonzero((np.abs(volumes) <= FLAT * areas**1.5) & (areas > 0))
+    if flat.size and (largest is None or largest in flat):
+        faces = F[part == (flat[0] if largest is None else largest)]
         raise MeshError(
-            f"a hole of {n} edges at {place(V[loop[0]])} is too long to fill (limit {LONGEST_FILLED_LOOP}). Close it "
-            "in a mesh editor, or pass closed=False and a lower hole_limit to leave it open."
+            f"the part of vertex {faces.min()} at {place(V[faces.min()])} with {len(faces)} faces is flat: it bounds "
+            "no solid. Remove it in a mesh editor, or pass bodies='largest' if there are others."
         )
-    P = V[loop]
-    squared = ((P[:, None] - P[None]) ** 2).sum(axis=2)
-    taken = np.zeros((n, n), dtype=bool)
-    for i, v in enumerate(loop.tolist()):
-        for j in range(i + 2, n):
-            w = int(loop[j])
-            taken[i, j] = (min(v, w), max(v, w)) in existing and (i, j) != (0, n - 1)
-    best = np.full((n, n), np.inf)
-    split = np.zeros((n, n), dtype=np.int64)
-    best[np.arange(n - 1), np.arange(1, n)] = 0
-    for span in range(2, n):
-        for i in range(n - span):
-            j = i + span
-            if taken[i, j]:
-                continue
-            between = slice(i + 1, j)
-            doubled = np.linalg.norm(np.cross(P[between] - P[i], P[j] - P[i]), axis=1)
-            longest = np.maximum(squared[i, j], np.maximum(squared[i, between], squared[between, j]))
-            # In a flat hole all ways have one area: the second term prefers short edges. Flat triangles never.
-            cost = doubled / 2 + 1e-3 * longest + np.where(doubled > FLATTEST_FACE * longest, 0.0, np.inf)
-            cost = cost + best[i, between] + best[between, j]
-            at = int(np.argmin(cost))
-            best[i, j], split[i, j] = cost[at], i + 1 + at
-    if not np.isfinite(best[0, n - 1]):
-        raise MeshError(
-            f"the hole of {n} edges at {place(P[0])} cannot be closed without faces that lie on others. "
-            "Close it in a mesh editor."
-        )
-    triangles: list[list[int]] = []
-    stack = [(0, n - 1)]
-    while stack:
-        i, j = stack.pop()
-        if j - i < 2:
-            continue
-        k = int(split[i, j])
-        triangles.append([int(loop[i]), int(loop[k]), int(loop[j])])
-        stack += [(i, k), (k, j)]
-    return np.array(triangles, dtype=np.int64)
-
-
-def _face_outwards(V: FloatArray, F: IntArray) -> tuple[IntArray, int, int]:
-    """Orient each part outwards, or inwards where it is a cavity: inside an odd number of others."""
-    parts, part = vertex_components(F, len(V))
-    inside = _containment(V, F, parts, part) if parts > 1 else np.zeros((1, 1), dtype=np.bool_)
-    cavity = inside.sum(axis=1) % 2 == 1
-    face_part = part[F[:, 0]]
-    flip = np.zeros(len(F), dtype=np.bool_)
-    for k in range(parts):
-        faces = F[face_part == k]
-        # Measured about its own middle, so that the sign means something for a part that has been left open.
-        vertices, renumbered = np.unique(faces, return_inverse=True)
-        own = V[vertices]
-        enclosed = signed_volume(own, renumbered.reshape(-1, 3))
-        if abs(enclosed) <= FLAT * face_areas(V, faces).sum() ** 1.5:
-            raise MeshError(
-                f"the part of vertex {vertices[0]} at {place(own[0])} with {len(faces)} faces is flat: it bounds no "
-                "solid. Remove it in a mesh editor, or pass bodies='largest' if there are others."
-            )
-        flip[face_part == k] = (enclosed < 0) != cavity[k]
-    return _turned(F, flip), parts, int(np.count_nonzero(cavity))
+    return set(flat.tolist())

@@ -22,6 +22,14 @@ def brief(result: Any) -> str:
     return f"{type(result).__name__}({', '.join(f'{name}={_word(getattr(result, name))}' for name in names)})"
 
 
+def counted(count: int, one: str, many: str) -> str:
+    """Return a number with what it counts in plain English, one as a word: "one edge", "3 edges".
+
+    Words after the noun, such as its verb, may stand in both: counted(k, "edge is", "edges are").
+    """
+    return f"one {one}" if count == 1 else f"{count} {many}"
+
+
 def _word(value: Any) -> str:
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{list(value.shape)}"

@@ -49,7 +49,10 @@ MORE_ARGUMENTS = {
         "the eight, a law of motion with its time and form, and what ends and holds it",
     ),
     # The samples are three arrays; each option stands alone in fit_mesh and in the command line, with its default.
-    "compare/fitting/fit.py::fit_mesh": (13, "the mesh, those of fit_field that a command has, and its samples"),
+    "compare/fitting/fit.py::fit_mesh": (
+        15,
+        "the mesh, those of fit_field that a command has, and what is good enough",
+    ),
     "implicit/fitting/fit.py::fit_field": (
         22,
         "three arrays, five for a network or one of the caller's, the rest for one training",

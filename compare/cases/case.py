@@ -20,7 +20,7 @@ import numpy as np
 from compare.cases.handles import HandleSpec
 from compare.cases.registry import OPERATIONS
 
-MESH_SUFFIXES = (".obj", ".off", ".ply", ".stl")
+MESH_SUFFIXES = (".obj", ".off", ".ply", ".stl", ".glb", ".gltf", ".3mf", ".dae")
 FIELD_SUFFIX = ".safetensors"
 BUNDLED = ("spot", "cactus", "bracket")  # implicit.shapes.BUNDLED, known here without importing torch
 
@@ -39,7 +39,7 @@ class Case:
     """One shape under one operation, for both representations.
 
     Args:
-        shape: A bundled shape's name, or a path to a mesh (.obj, .off, .ply, .stl) or to a field (.safetensors).
+        shape: A bundled shape's name, or a path to a mesh (see MESH_SUFFIXES) or to a field (.safetensors).
         operation: "geometric", "smooth", "rigid", or another that was registered; see compare.operations.
         handles: What is moved where; none for "smooth".
         parameters: Settings of the operation: "steps" and "step_size" for "smooth"; under "implicit" and under "mesh"
@@ -158,7 +158,11 @@ def content_of(shape: str) -> str:
     """Return what a shape's name stands for: the hash of the file's content, or the name of a bundled shape."""
     path = Path(shape)
     if path.suffix.lower() in (*MESH_SUFFIXES, FIELD_SUFFIX):
-        return "sha256:" + hashlib.sha256(path.read_bytes()).hexdigest()
+        content = path.read_bytes()
+        if path.suffix.lower() == ".gltf":  # which names the files that hold the numbers
+            named = (beside for beside in sorted(path.parent.iterdir()) if beside.name.encode() in content)
+            content += b"".join(beside.read_bytes() for beside in named if beside.is_file())
+        return "sha256:" + hashlib.sha256(content).hexdigest()
     return shape
 
 

@@ -11,6 +11,7 @@ from numpy import ndarray
 
 from compare.cases.case import Case
 from compare.cases.registry import OPERATIONS
+from compare.cases.room import within
 
 QUICK_SIZE = {"vertices": 800, "resolution": 32}
 QUICK_FIT = {"steps": 600}  # for a shape given as a mesh
@@ -36,6 +37,7 @@ def default_cases(
     operations: Collection[str] = OPERATIONS,
     quick: bool = False,
     fit: Mapping[str, Any] | None = None,
+    bounds: Float[ndarray, "2 3"] | None = None,
     **settings: Any,
 ) -> list[Case]:
     """Return a case for each operation on any shape, with handles found from its surface.
@@ -51,6 +53,8 @@ def default_cases(
         operations: Which of them, in this order; by default all.
         quick: Whether to spend little: fewer points and steps, for a first look and not for figures.
         fit: Options of the fit, for a shape given as a mesh.
+        bounds: Lower and upper corner of the field's bounds. Handles that would leave them, as those of a shape as wide
+            as it is long, are moved less far; None leaves them as they are.
         settings: Further arguments of Case: vertices, resolution, seed.
 
     Raises:
@@ -68,5 +72,8 @@ def default_cases(
     for name in operations:
         rules = OPERATIONS[name]
         parameters = {**(rules.quick if quick else rules.full), **({"fit": dict(fit)} if fit else {})}
-        cases.append(Case(shape, name, rules.default_handles(V, N), parameters, **settings))
+        handles = rules.default_handles(V, N)
+        if bounds is not None:
+            handles = within(handles, V, N, bounds)
+        cases.append(Case(shape, name, handles, parameters, **settings))
     return cases

@@ -31,6 +31,18 @@ def require_seed(seed: int) -> None:
         raise InputError(f"--seed must be at least 0, but is {seed}.")
 
 
+def require_hole_limit(diagonals: float) -> None:
+    """Refuse a length of holes that is none."""
+    if not diagonals >= 0:
+        raise InputError(f"--hole-limit must be a number of diagonals, at least 0, but is {diagonals}.")
+
+
+def require_budget(seconds: float | None) -> None:
+    """Refuse a time in which nothing can be done."""
+    if seconds is not None and not 0 < seconds < float("inf"):
+        raise InputError(f"--budget must be a number of seconds above 0, but is {seconds}.")
+
+
 def require_folder_for(path: Path) -> None:
     """Refuse a path unless the nearest folder above that exists is one, and writable."""
     above = path.absolute().parent

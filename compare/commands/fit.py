@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from compare.cases.case import MESH_SUFFIXES
-from compare.commands.checks import require_folder_for, require_new_safetensors, require_seed
-from compare.commands.shown import add_task, progress_bars, speaker, teller
+from compare.commands.checks import require_folder_for, require_hole_limit, require_new_safetensors, require_seed
+from compare.commands.shown import add_task, progress_bars, say_mending, speaker, teller
 from compare.errors import InputError
+from compare.fitting.mending import Mending
 from compare.runs.subject import check_shape
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ class Fit:
     """Fit a neural field to a mesh, and write how good it is beside it, as .json."""
 
     mesh: tyro.conf.Positional[Path]
-    """The mesh: .obj, .off, .ply or .stl."""
+    """The mesh: .obj, .off, .ply, .stl, .glb, .gltf, and with the packages of the extra "formats" .3mf and .dae."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Where the field goes: a file ending in .safetensors that is not there yet."""
     width: int = 32
@@ -38,6 +39,12 @@ class Fit:
     without arguments; its code is run. The field's file names it."""
     steps: int = 4000
     """Of the training."""
+    bodies: Literal["refuse", "largest", "keep"] = "refuse"
+    """What is done with several bodies that are not connected: refused, only the largest fitted, or all."""
+    hole_limit: Annotated[float, tyro.conf.arg(metavar="DIAGONALS")] = 1.0
+    """Longest way round a hole that is closed, in diagonals of the mesh's box."""
+    budget: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
+    """Seconds in which a fit below the stated quality begins anew, twice as wide each time; the best is kept."""
     checkpoint: Path | None = None
     """A file to keep the state of the training in; if it is there already, the training goes on from it."""
     seed: int = 0
@@ -61,8 +68,9 @@ def fit(command: Fit) -> int:
         require_folder_for(command.checkpoint)
         command.checkpoint.parent.mkdir(parents=True, exist_ok=True)
     say = speaker(command.quiet)
-    for sentence in check_shape(str(command.mesh)):
-        say(sentence)
+    mending = Mending(command.bodies, command.hole_limit)
+    require_hole_limit(command.hole_limit)
+    say_mending(say, [str(command.mesh)], lambda name: check_shape(name, None, mending))
 
     import implicit
     import meshref
@@ -70,7 +78,7 @@ def fit(command: Fit) -> int:
     from compare.fitting.fit import fit_mesh
 
     module = None if command.module is None else _module(command.module)
-    V, F = meshref.read_mesh(command.mesh)
+    V, F = meshref.read_mesh(command.mesh)  # as it is, so that the report says what was mended; it is not done again
     with progress_bars(command.quiet) as bars:
         tell = teller(bars, add_task(bars, command.mesh.name, None))
         try:
@@ -83,7 +91,9 @@ def fit(command: Fit) -> int:
                 activation=command.activation,
                 steps=command.steps,
                 seed=command.seed,
-                bodies="refuse",
+                bodies=command.bodies,
+                hole_limit=command.hole_limit,
+                budget=command.budget,
                 checkpoint=command.checkpoint,
                 progress=lambda step, steps, _: tell(step, steps, "fitting a field"),
             )

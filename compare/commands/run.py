@@ -7,7 +7,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from numpy import ndarray
@@ -15,10 +15,20 @@ from numpy import ndarray
 from compare.cases.case import BUNDLED, Case
 from compare.cases.default_cases import QUICK_FIT, QUICK_SIZE, case_of_subject, default_cases
 from compare.cases.registry import OPERATIONS
-from compare.commands.checks import absolute_name, require_folder_for, require_seed
+from compare.commands.checks import absolute_name, require_budget, require_folder_for, require_hole_limit, require_seed
 from compare.commands.exits import FAILED
-from compare.commands.shown import add_task, advance, print_json, print_table, progress_bars, speaker, teller
+from compare.commands.shown import (
+    add_task,
+    advance,
+    print_json,
+    print_table,
+    progress_bars,
+    say_mending,
+    speaker,
+    teller,
+)
 from compare.errors import InputError, Progress
+from compare.fitting.mending import Mending
 from compare.runs.executors import WorkerDiedError, executor_of
 from compare.runs.lock import lock
 from compare.runs.records import FILE, read
@@ -35,13 +45,19 @@ class Run:
     """Edit shapes as neural fields and as meshes, compare, and write a run folder with a report."""
 
     shapes: tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar="SHAPE ...")]] = BUNDLED
-    """Bundled shapes, meshes (.obj, .off, .ply, .stl) or fields (.safetensors)."""
+    """Bundled shapes, meshes (.obj, .off, .ply, .stl, .glb, .gltf, .3mf, .dae) or fields (.safetensors)."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="FOLDER")] = None
     """Run folder; by default results/run- and the time."""
     operations: tuple[OperationName, ...] = tuple(OPERATIONS)
     """What to do with each shape."""
     quick: bool = False
     """Coarser and with fewer steps: to see that it works, not for figures."""
+    bodies: Literal["refuse", "largest"] = "refuse"
+    """What is done with meshes of several bodies that are not connected: refused, or only the largest compared."""
+    hole_limit: Annotated[float, tyro.conf.arg(metavar="DIAGONALS")] = 1.0
+    """Longest way round a hole of a mesh that is closed, in diagonals of its box."""
+    budget: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
+    """Seconds in which the fit of a mesh that is below the stated quality begins anew, twice as wide each time."""
     seed: int = 0
     """Of every random choice."""
     module: Annotated[str | None, tyro.conf.arg(metavar="FILE.py:FUNCTION")] = None
@@ -69,9 +85,10 @@ def run(command: Run) -> int:
     say = speaker(command.quiet, to_stderr=command.json)
     _require_distinct(command.shapes)
     modules = modules_of(command.shapes, command.module)
-    mended = [sentence for name in command.shapes for sentence in check_shape(name, modules[name])]
-    for sentence in mended:
-        say(sentence)
+    require_hole_limit(command.hole_limit)
+    require_budget(command.budget)
+    mending = Mending(command.bodies, command.hole_limit)
+    mended = say_mending(say, command.shapes, lambda name: check_shape(name, modules[name], mending))
 
     from compare.reports.report import report as write_report
     from compare.runs.run import run_cases
@@ -104,7 +121,7 @@ def _cases(
     command: Run, modules: Mapping[str, str | None], folder: Path, executor: Executor | None, tell: Progress
 ) -> list[Case]:
     """Prepare the shapes, which may fit a network to each, and find the handles on them."""
-    fit = QUICK_FIT if command.quick else {}
+    fit = {**(QUICK_FIT if command.quick else {}), **_fit_options(command)}
     settings: dict[str, Any] = {"seed": command.seed, **(QUICK_SIZE if command.quick else {})}
     # What decides the subject is the same for all cases of a shape.
     any_case = {name: case_of_subject(name, fit, **settings, module=modules[name]) for name in command.shapes}
@@ -116,18 +133,26 @@ def _cases(
     cases: list[Case] = []
     for name, case in any_case.items():
         try:
-            V, N = waiting[name].result() if waiting else _surface(case, folder, tell)
+            V, N, bounds = waiting[name].result() if waiting else _surface(case, folder, tell)
         except (ValueError, OSError, WorkerDiedError) as error:
             raise InputError(f"{name}: {error}") from error
-        own = {**settings, "module": modules[name]}
+        own = {**settings, "module": modules[name], "bounds": bounds}
         cases += default_cases(name, V, N, operations=command.operations, quick=command.quick, fit=fit, **own)
     return cases
 
 
-def _surface(case: Case, folder: Path, progress: Progress | None = None) -> tuple[ndarray, ndarray]:
-    """Return the vertices and normals of the common mesh of a case, whose subject is kept in the folder."""
+def _fit_options(command: Run) -> dict[str, Any]:
+    """Return the options of a fit that the command sets; none by default, so that keys of cases stay what they were."""
+    options = {"bodies": command.bodies, "hole_limit": command.hole_limit}
+    changed = {name: value for name, value in options.items() if value != getattr(Mending(), name)}
+    return changed if command.budget is None else {**changed, "budget": command.budget}
+
+
+def _surface(case: Case, folder: Path, progress: Progress | None = None) -> tuple[ndarray, ndarray, ndarray]:
+    """Return the vertices and normals of the common mesh of a case, whose subject is kept in the folder, and the bounds
+    of its field."""
     subject = prepare_subject(case, folder=folder, progress=progress)
-    return subject.V, subject.N
+    return subject.V, subject.N, subject.field.bounds.cpu().numpy()
 
 
 def _require_run_folder(folder: Path, resume: bool) -> None:

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from json import dumps
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from compare.runs.records import Record
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress as Bars
 
 
+LARGE_FILE = 5_000_000  # bytes of a mesh that takes seconds to be read and mended
 SPEED_PERIOD = 24 * 3600.0  # seconds over which the time left is estimated; rich's 30 may not hold one case
 
 
@@ -25,6 +27,19 @@ def speaker(quiet: bool, *, to_stderr: bool = False) -> Callable[[str], None]:
             print(sentence, file=sys.stderr if to_stderr else sys.stdout, flush=True)
 
     return say
+
+
+def say_mending(say: Callable[[str], None], shapes: Sequence[str], check: Callable[[str], list[str]]) -> list[str]:
+    """Check shapes, say what is mended of each, and return what was said; large meshes are named before."""
+    said = []
+    for name in shapes:
+        path = Path(name)
+        if path.is_file() and path.stat().st_size > LARGE_FILE:
+            say(f"{name}: reading and mending {path.stat().st_size / 1e6:.0f} MB.")
+        for sentence in check(name):
+            say(sentence)
+            said.append(sentence)
+    return said
 
 
 def progress_bars(quiet: bool) -> AbstractContextManager[Bars | None]:

@@ -7,8 +7,8 @@ in [-1, 1]^3. `field.units` is the way back to the user's coordinates.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from os import PathLike
 from time import perf_counter
 from typing import Any, Literal
@@ -21,15 +21,24 @@ from torch import nn
 
 import implicit
 import meshref
+from compare.fitting.mending import Mending, mended
 from implicit.field.field import Field, Units
 from implicit.fitting.fit import FitStatus, Training, fit_field, require_training
 from implicit.fitting.subjects import starting_field
+from meshref.distance import SignedDistance
+from meshref.printing import counted
+from meshref.solids import hidden_points
 
 SIDE = 1.6  # longest side of the mesh's box in the field's coordinates
 
 # What a fit must reach to be called good. Beyond, the errors of a study would be those of the fit.
 GOOD_DISTANCE = 0.004  # mean distance between the surfaces, in diagonals of the mesh's box
 GOOD_VOLUME = 0.01  # error of the volume, relative
+
+# With a budget, networks get wider up to this. A network twice as wide takes about 2.5 times as long; in less than this
+# many times the last one's seconds, which then end it, it would come out no better.
+WIDEST = 256
+LEAST_SHARE_OF_A_WIDER_FIT = 1.5
 
 # Samples on the surface; about it, moved by a normal random vector of each spread (in the field's units); and all over
 # a cube a little larger than the bounds, one every 0.064, so that no stray piece of the field finds room.
@@ -82,6 +91,7 @@ class FitReport:
     seconds_training: float
     training: str  # how the training ended
     seed: int
+    attempts: tuple[str, ...] = ()  # with a budget: the networks that were tried, and what came of each
 
     def __repr__(self) -> str:
         """Return the verdict and the main numbers in two lines."""
@@ -109,6 +119,8 @@ def fit_mesh(
     seed: int = 0,
     bodies: Literal["keep", "largest", "refuse"] = "keep",
     hole_limit: float = 1.0,
+    quality: float = GOOD_DISTANCE,
+    budget: float | None = None,
     progress: Callable[[int, int, float], None] | None = None,
     checkpoint: str | PathLike[str] | None = None,
     **training: Any,
@@ -125,9 +137,14 @@ def fit_mesh(
         steps: Steps of training.
         seconds: Most time for the training; see fit_field.
         seed: Of the samples, the first weights and the batches. The same seed gives the same weights.
-        bodies: Whether several separate solids are kept, only the largest is, or they are refused.
+        bodies: Whether several separate solids are kept, only the largest is, or they are refused. Parts that overlap
+            or touch are united first, and a cavity belongs to its body.
         hole_limit: Longest boundary of a hole that is closed, in diagonals of the box round the mesh.
-        progress: Called as progress(step, steps, loss).
+        quality: Largest mean distance between the surfaces of a good fit, in diagonals of the mesh's box. It must also
+            have GOOD_VOLUME, the mesh's bodies, cavities and genus.
+        budget: Seconds in which a fit that is not good begins anew, twice as wide each time, up to WIDEST; the best is
+            returned, and the report's `attempts` name all. None fits once, as wide as told.
+        progress: Called as progress(step, steps, loss), from the first step again for each network.
         checkpoint: File from which an interrupted training goes on; see fit_field.
         **training: Further options of fit_field, such as start, a field in [-1, 1]^3 to go on from.
 
@@ -136,43 +153,66 @@ def fit_mesh(
 
     Raises:
         meshref.MeshError: The mesh cannot be mended; the message says why and where.
-        ValueError: An option of the training is out of range, or the module cannot be trained.
+        ValueError: An option of the training is out of range, the module cannot be trained, or a budget is given where
+            the network is fixed: by a module, a start or a checkpoint.
         TypeError: The module does not map points (N, 3) to N values.
     """
     begun = perf_counter()
-    options = {
-        "width": width,
-        "depth": depth,
-        "activation": activation,
-        "steps": steps,
-        "seconds": seconds,
-        "seed": seed,
-    }
-    require_training({**options, "checkpoint": checkpoint, "module": module, **training})
+    options: dict[str, Any] = {"width": width, "depth": depth, "activation": activation, "steps": steps, "seed": seed}
+    fixed = {"module": module, "start": training.get("start"), "checkpoint": checkpoint}
+    require_training({**options, "seconds": seconds, **training, **fixed})
+    _require_quality(quality, budget, fixed)
     if module is not None or training.get("start") is not None:
         starting_field(module, training.get("start"), dimension=3)  # refused before the mesh is mended and sampled
-    V, F, mending = meshref.mend_mesh(V, F, bodies=bodies, hole_limit=hole_limit)
+    V, F, mending = mended(V, F, Mending(bodies, hole_limit))
     V, units = place_in_cube(V)
     query = meshref.SignedDistanceQuery(V, F)
     points = sample_space(V, F, seed)
     answer = query(points)
-    field, how = fit_field(
-        torch.from_numpy(points),
-        torch.from_numpy(answer.distance),
-        torch.from_numpy(answer.normal),
-        module=module,
-        width=width,
-        depth=depth,
-        activation=activation,
-        steps=steps,
-        seconds=seconds,
-        seed=seed,
-        units=units,
-        progress=progress,
-        checkpoint=checkpoint,
-        **training,
-    )
-    return field, _report(field, how, V, F, mending.steps, seed, begun)
+    if mending.hidden_area > 0:
+        # The distance to a wall within the solid is none to its surface: the field would have a sheet there.
+        seen = ~hidden_points(V, F, answer.closest, answer.face)
+        points = points[seen]
+        answer = SignedDistance(answer.distance[seen], answer.closest[seen], answer.face[seen], answer.normal[seen])
+    tensors = [torch.from_numpy(array) for array in (points, answer.distance, answer.normal)]
+    training |= {"module": module, "units": units, "progress": progress, "checkpoint": checkpoint}
+    attempts: list[tuple[Field, FitReport]] = []
+    while True:
+        start = perf_counter()
+        time_limit = _shorter(seconds, None if budget is None else budget - (start - begun))
+        field, how = fit_field(tensors[0], tensors[1], tensors[2], **options, seconds=time_limit, **training)
+        attempts.append((field, _report(field, how, V, F, mending.steps, seed, begun, quality=quality)))
+        last, spent = perf_counter() - start, perf_counter() - begun
+        if attempts[-1][1].good or budget is None or options["width"] >= WIDEST:
+            break
+        if budget - spent < LEAST_SHARE_OF_A_WIDER_FIT * last:
+            break
+        options["width"] = min(2 * options["width"], WIDEST)
+    field, report = min(attempts, key=lambda attempt: _merit(attempt[1]))
+    if budget is None:
+        return field, report
+    tried = tuple(f"{depth} layers, {r.parameters} parameters, {r.steps} steps: {r.verdict}" for _, r in attempts)
+    return field, replace(report, attempts=tried, seconds=perf_counter() - begun)
+
+
+def _require_quality(quality: float, budget: float | None, fixed: Mapping[str, Any]) -> None:
+    for name, value in {"quality": quality, "budget": 1.0 if budget is None else budget}.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+            raise ValueError(f"{name} must be a positive number, but is {value!r}.")
+    given = [name for name, value in fixed.items() if value is not None]
+    if budget is not None and given:
+        raise ValueError(f"A budget widens the network, but {given[0]} fixes it. Leave one of them out.")
+
+
+def _shorter(*seconds: float | None) -> float | None:
+    """Return the shortest of some times, of which None has no end."""
+    return min((max(s, 1.0) for s in seconds if s is not None), default=None)
+
+
+def _merit(report: FitReport) -> tuple[bool, bool, float]:
+    """Return what is less for the better fit: a good one, then one of the right pieces, then a near one."""
+    pieces = (report.components, report.genus) != (report.components_mesh, report.genus_mesh)
+    return not report.good, pieces, math.inf if math.isnan(report.mean_distance) else report.mean_distance
 
 
 def place_in_cube(V: Float[ndarray, "n 3"]) -> tuple[Float[ndarray, "n 3"], Units]:
@@ -204,6 +244,7 @@ def _report(
     seed: int,
     start: float,
     samples: int = 20_000,
+    quality: float = GOOD_DISTANCE,
 ) -> FitReport:
     diagonal = float(np.linalg.norm(V.max(axis=0) - V.min(axis=0)))
     scale = field.units.scale
@@ -212,15 +253,15 @@ def _report(
     normals = torch.nn.functional.cosine_similarity(gradients, _tensor(on_mesh.normals, field), dim=1)
     nearby = on_mesh.points + np.random.default_rng(seed).normal(0, 0.01 * diagonal, on_mesh.points.shape)
     lengths = field.gradient(_tensor(nearby, field)).norm(dim=1).double()
-    surface = _compare_surfaces(field, V, F, samples, seed)
+    surface = _compare_surfaces(field, V, F, samples, seed, quality)
     faults = [*surface.faults]
     if training.status is not FitStatus.DONE:
         faults.append(training.status.value.rstrip(".").lower())
     if faults:
-        verdict = f"Below the stated quality: {'; '.join(faults)}. Take a wider network or more steps."
+        verdict = f"Below the stated quality: {'; '.join(faults)}. Take a wider network, more steps, or a budget."
     else:
         verdict = (
-            f"Good: the mean distance is {surface.mean / diagonal:.3%} of the diagonal (at most {GOOD_DISTANCE:.1%}), "
+            f"Good: the mean distance is {surface.mean / diagonal:.3%} of the diagonal (at most {quality:.1%}), "
             f"the volume is off by {surface.volume_error:+.2%} (at most {GOOD_VOLUME:.0%}), bodies and genus are right."
         )
     return FitReport(
@@ -270,7 +311,7 @@ class _Surfaces:
 
 
 def _compare_surfaces(
-    field: Field, V: Float[ndarray, "n 3"], F: Int[ndarray, "m 3"], samples: int, seed: int
+    field: Field, V: Float[ndarray, "n 3"], F: Int[ndarray, "m 3"], samples: int, seed: int, quality: float
 ) -> _Surfaces:
     try:
         V2, F2 = implicit.extract_mesh(field, RESOLUTION)
@@ -289,15 +330,17 @@ def _compare_surfaces(
         area_error=float(quadrature.weights.sum()) / meshref.area(V, F) - 1,
         components=meshref.component_count(V2, F2),
     )
-    if not found.mean <= GOOD_DISTANCE * diagonal:
+    if not found.mean <= quality * diagonal:
         found.faults.append(
-            f"the mean distance is {found.mean / diagonal:.2%} of the diagonal, more than {GOOD_DISTANCE:.1%}"
+            f"the mean distance is {found.mean / diagonal:.2%} of the diagonal, more than {quality:.1%}"
         )
     if not abs(found.volume_error) <= GOOD_VOLUME:
         found.faults.append(f"the volume is off by {found.volume_error:+.1%}, more than {GOOD_VOLUME:.0%}")
     components, genus = meshref.component_count(V, F), meshref.genus(V, F)
     if found.components != components:
-        found.faults.append(f"the field has {found.components} separate surfaces, the mesh {components}")
+        found.faults.append(
+            f"the field has {counted(found.components, 'surface', 'separate surfaces')}, the mesh {components}"
+        )
     try:
         found.genus = meshref.genus(V2, F2)
         if found.genus != genus:

@@ -73,8 +73,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rows = []
     for width in options.widths:
         for path in paths:
-            V, F = meshref.read_mesh(path)
-            rows.append(row(path.name, width, fit_mesh(V, F, width=width)[1]))
+            try:
+                rows.append(row(path.name, width, fit_mesh(*meshref.read_mesh(path), width=width)[1]))
+            except meshref.MeshError as error:
+                print(f"{path.name} is left out: {error}", file=sys.stderr)
+                continue
             print(" | ".join(rows[-1]), flush=True)
             if options.output is not None:  # as far as it came, so that an interruption keeps what is done
                 options.output.parent.mkdir(parents=True, exist_ok=True)

@@ -38,6 +38,7 @@ class Geometric(Operation):
     sums_handles = True
     full: Mapping[str, Any] = {}
     quick: Mapping[str, Any] = {"implicit": {"parts": 4, "points": 500}}
+    error_needs_other = False
     error_means = "motion along the normal minus the wanted one"
     error_over_target = True
     headline = Headline("error_relative", "error {} of the bump")

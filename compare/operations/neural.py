@@ -80,7 +80,13 @@ def run_edit(
         seconds_by_phase=_phases(edited, seconds),
         path=_path(edited, subject, seconds),
         details=details,
+        notes=[*edited.notes, *_events(edited)],
     )
+
+
+def _events(edit: Edit) -> list[str]:
+    """Return what happened to the pieces of the surface on the way, as the steps have recorded it."""
+    return [f"Step {row['step']:.0f}: {str(row['event']).rstrip('.')}." for row in edit.history if row.get("event")]
 
 
 def _phases(edit: Edit, seconds: float) -> dict[str, float]:

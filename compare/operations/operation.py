@@ -70,6 +70,7 @@ class Outcome:
     path: Sequence[Halfway] = ()  # after each step, of an editor that takes steps
     peak_memory: float | None = None  # megabytes, see compare.runs.memory
     details: Mapping[str, Any] = default(default_factory=dict)
+    notes: Sequence[str] = ()  # what the editor says of the result, a sentence each
 
 
 # Gives what a method makes of a case; None where it has no answer for it.
@@ -104,6 +105,7 @@ class Operation(CaseRules, Protocol):
     error_means: str  # the error of a vertex in words
     error_name: str = "error"  # of its statistics in a record: error_rms and so on
     error_is_length: bool = True  # or else a pure number
+    error_needs_other: bool = True  # whether error_field asks for the outcome of the other representation
     error_over_target: bool = False  # whether error_relative is kept too, the rms over the largest target displacement
     headline: Headline
     columns: tuple[Column, ...] = ()  # that the tables have for this operation alone
@@ -127,7 +129,7 @@ class Operation(CaseRules, Protocol):
         """Return the mesh methods by the name of their side: "mesh" first, the one that is compared with the field."""
         ...
 
-    def mesh_editors_beside(self, neural: Outcome) -> Mapping[str, Editor]:
+    def mesh_editors_beside(self, subject: Subject, target: Target, neural: Outcome) -> Mapping[str, Editor]:
         """Return further mesh methods, by the name of their side, that depend on what the neural editor has made."""
         return {}
 

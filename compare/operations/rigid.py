@@ -39,6 +39,7 @@ class Rigid(Operation):
     # ripples, and bring the handles from 0.6 % of the pull to 0.5 %.
     full: Mapping[str, Any] = {"implicit": {"steps": 3, "points": 2000}}
     quick: Mapping[str, Any] = {"implicit": {"steps": 3, "points": 500}}
+    error_needs_other = False
     error_means = "local strain: half the root of the Killing energy density"
     error_name = "strain"
     error_is_length = False
@@ -88,11 +89,12 @@ class Rigid(Operation):
         """Return the linear least squares of the mesh, and as-rigid-as-possible deformation."""
         return {"mesh": killing, "mesh, ARAP": arap}
 
-    def mesh_editors_beside(self, neural: Outcome) -> Mapping[str, Editor]:
+    def mesh_editors_beside(self, subject: Subject, target: Target, neural: Outcome) -> Mapping[str, Editor]:
         """Return both mesh methods with handles that are as far from their targets as the neural ones."""
+        miss = handle_miss(subject, target, neural.displacement)
         return {
-            "mesh, equal error": partial(_killing_beside, neural),
-            "mesh, ARAP, equal error": partial(_arap_beside, neural),
+            "mesh, equal error": partial(_killing_beside, miss),
+            "mesh, ARAP, equal error": partial(_arap_beside, miss),
         }
 
     def error_field(self, subject: Subject, target: Target, own: Outcome, other: Outcome) -> Float[ndarray, " n"]:
@@ -142,7 +144,7 @@ def arap(case: Case, subject: Subject, target: Target, progress: Progress | None
 
 
 def _killing_beside(
-    neural: Outcome, case: Case, subject: Subject, target: Target, progress: Progress | None = None
+    miss: float, case: Case, subject: Subject, target: Target, progress: Progress | None = None
 ) -> Outcome | None:
     """Return the least squares with springs; None where the case names its own handles, or no spring fits."""
     import meshref
@@ -158,7 +160,7 @@ def _killing_beside(
             subject.V, subject.F, handles, target.displacement[handles], method="soft", penalty=penalty, **options
         ),
         lambda solved: handle_miss(subject, target, solved.displacement),
-        handle_miss(subject, target, neural.displacement),
+        miss,
     )
     if found is None:
         return None
@@ -175,7 +177,7 @@ def _killing_beside(
 
 
 def _arap_beside(
-    neural: Outcome, case: Case, subject: Subject, target: Target, progress: Progress | None = None
+    miss: float, case: Case, subject: Subject, target: Target, progress: Progress | None = None
 ) -> Outcome | None:
     """Return ARAP with springs; None where no spring fits."""
     import meshref
@@ -195,7 +197,7 @@ def _arap_beside(
     found = at_equal_error(
         solve,
         lambda solved: handle_miss(subject, target, solved.V - subject.V),
-        handle_miss(subject, target, neural.displacement),
+        miss,
     )
     if found is None:
         return None

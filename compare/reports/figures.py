@@ -66,7 +66,7 @@ def draw_figures(
     target = folder / "figures" if output is None else Path(output)
     by_shape: dict[str, list[Record]] = {}
     for record in records:
-        if not record.failed and record.artefacts:
+        if {"before", "implicit", "mesh"} <= set(record.artefacts):
             by_shape.setdefault(record.case.name, []).append(record)
     written = []
     for name, group in by_shape.items():

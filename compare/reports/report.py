@@ -63,8 +63,8 @@ def report(records: Sequence[Record], path: str | PathLike[str], *, folder: str 
     folder = path.parent if folder is None else Path(folder)
     page = Template((Path(__file__).parent / "report.html").read_text(encoding="utf-8"))
     arrays: dict[str, str] = {}
-    done = [r for r in records if not r.failed]
-    drawn = [r for r in done if r.artefacts][: BUDGET // (BYTES_PER_FACE * LEAST_FACES)]
+    done = [r for r in records if r.sides]  # of a failed one, the side that has numbers
+    drawn = [r for r in done if {"implicit", "mesh"} <= set(r.artefacts)][: BUDGET // (BYTES_PER_FACE * LEAST_FACES)]
     faces = int(np.clip(BUDGET / BYTES_PER_FACE / max(len(drawn), 1), LEAST_FACES, MOST_FACES))
     views = {r.key: _scene(r, folder, faces, arrays, azimuth) for r, azimuth in _looks(drawn, folder)}
     base = seen_from(path, folder)

@@ -88,9 +88,16 @@ def text(value: float | None, column: Column) -> str:
     if column.percent:
         if abs(value) < 1e-9:  # rounding of the sums, no finding
             return "0 %"
-        return f"{100 * value:{'+' if column.name.endswith('_drift') else ''}.2g} %"
+        return percentage(value, sign=column.name.endswith("_drift"))
     digits = {"seconds": ".1f", "peak_memory": ".0f"}.get(column.name, ".3g")
     return f"{value:{digits}}"
+
+
+def percentage(value: float, *, sign: bool = False) -> str:
+    """Return a share in per cent with two digits that count, and without powers of ten where it is large."""
+    percent = 100 * value
+    size = f"{percent:{'+' if sign else ''}.2g}" if abs(percent) < 99.5 else f"{percent:{'+' if sign else ''},.0f}"
+    return f"{size} %"
 
 
 def lines(record: Record) -> list[tuple[str, str, str, str, list[float | None]]]:

@@ -47,7 +47,7 @@ def measure(
     subject: Subject,
     target: Target,
     outcome: Outcome,
-    error: Float[ndarray, " n"],
+    error: Float[ndarray, " n"] | None,
     *,
     edited: Edited | None = None,
 ) -> SideRow:
@@ -58,13 +58,15 @@ def measure(
         subject: To what.
         target: What the handles say.
         outcome: Of one editor.
-        error: Of the outcome at each vertex, as the operation has it, in the field's units.
+        error: Of the outcome at each vertex, as the operation has it, in the field's units; None where it takes the
+            outcome of the other representation, and there is none.
         edited: Of the field itself, for the neural side; its volume and area take the place of the carried mesh's.
     """
     operation, scale = operation_of(case.operation), subject.scale
     V, F, D = subject.V, subject.F, outcome.displacement
     weights = meshref.vertex_areas(V, F)
     unit = scale if operation.error_is_length else 1.0
+    statistics = {} if error is None else _statistics(error, weights)
     row = {
         "method": outcome.method,
         "status": outcome.status,
@@ -72,7 +74,7 @@ def measure(
         **_energies(subject, D),
         **(_of_mesh(subject, V + D) if edited is None else edited.sizes),
         "displacement_max": float(np.linalg.norm(D, axis=1).max()) * scale,
-        **{f"{operation.error_name}_{what}": value * unit for what, value in _statistics(error, weights).items()},
+        **{f"{operation.error_name}_{what}": value * unit for what, value in statistics.items()},
         **_missed(subject, target, D, weights),
         "seconds": outcome.seconds,
         "seconds_by_phase": dict(outcome.seconds_by_phase),
@@ -80,7 +82,7 @@ def measure(
         "details": dict(outcome.details),
         **({} if edited is None else {"bodies": edited.bodies}),
     }
-    if operation.error_over_target:
+    if operation.error_over_target and error is not None:
         row["error_relative"] = _rms(error, weights) / target.largest
     return SideRow.from_row({**row, "curve": curve(subject, outcome, row)})
 

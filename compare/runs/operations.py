@@ -16,6 +16,7 @@ import torch
 from compare.cases.case import Case
 from compare.cases.subject import Subject
 from compare.errors import Progress
+from compare.operations.cavities import carried
 from compare.operations.operation import Editor, Outcome, Target, operation_of
 from compare.runs.memory import with_peak_memory
 from implicit.edits.targets import SummedTargets
@@ -53,18 +54,56 @@ def target_motion(case: Case, subject: Subject) -> Target:
 
 
 def edit_by_all(case: Case, subject: Subject, target: Target, progress: Progress | None = None) -> dict[str, Outcome]:
-    """Return the outcomes of all editors of a case's operation: "implicit", "mesh", and further mesh methods."""
-    operation, sides = operation_of(case.operation), dict[str, Outcome]()
+    """Return the outcomes of all editors of a case's operation, by side.
+
+    Raises:
+        Exception: One of them fails.
+    """
+    sides, failures = edit_by_each(case, subject, target, progress)
+    for error in failures.values():
+        raise error
+    return sides
+
+
+def edit_by_each(
+    case: Case, subject: Subject, target: Target, progress: Progress | None = None
+) -> tuple[dict[str, Outcome], dict[str, Exception]]:
+    """Return the outcomes of all editors of a case's operation: "implicit", "mesh", and further mesh methods.
+
+    Returns:
+        The outcomes by side; and for sides that failed, why. One that fails leaves the others their rows.
+
+    Raises:
+        TypeError: The case has an option that an editor does not take.
+        Exception: The editor of the field and the first of the mesh both failed; what the first said.
+    """
+    operation = operation_of(case.operation)
+    sides: dict[str, Outcome] = {}
+    failures: dict[str, Exception] = {}
 
     def add(editors: Mapping[str, Editor]) -> None:
         for name, editor in editors.items():
-            outcome, peak = with_peak_memory(partial(editor, case, subject, target, progress))
+            try:
+                outcome, peak = with_peak_memory(partial(editor, case, subject, target, progress))
+            except TypeError:
+                raise
+            except Exception as error:  # whatever it is, it belongs to this side alone, and stands in its row
+                failures[name] = error
+                continue
             if outcome is not None:
                 sides[name] = replace(outcome, peak_memory=peak)
 
-    add({"implicit": _edit_field, **operation.mesh_editors()})
-    add(operation.mesh_editors_beside(sides["implicit"]))
-    return sides
+    add({"implicit": _edit_field, **_carried(operation.mesh_editors())})
+    if "implicit" in sides:  # to whose error at the handles those go
+        add(_carried(operation.mesh_editors_beside(subject, target, sides["implicit"])))
+    if not {"implicit", "mesh"} & set(sides):
+        raise failures["implicit"] if "implicit" in failures else next(iter(failures.values()))
+    return sides, failures
+
+
+def _carried(editors: Mapping[str, Editor]) -> dict[str, Editor]:
+    """Return the editors of a mesh, each of which takes the cavities of a body along."""
+    return {name: partial(carried, editor) for name, editor in editors.items()}
 
 
 def _edit_field(case: Case, subject: Subject, target: Target, progress: Progress | None) -> Outcome:

@@ -22,10 +22,10 @@ from compare.operations.operation import Outcome, Target, operation_of
 from compare.runs import records
 from compare.runs.columns import SIDES
 from compare.runs.measure import Edited, between, measure, measure_field
-from compare.runs.operations import edit_by_all, target_motion
+from compare.runs.operations import edit_by_each, target_motion
 from compare.runs.provenance import provenance
 from compare.runs.records import Artefact, Record
-from compare.runs.rows import SideRow
+from compare.runs.rows import BetweenRow, SideRow
 from compare.runs.subject import describe, prepare_subject, saving_options
 
 
@@ -50,28 +50,28 @@ def run_case(
 
     Raises:
         InputError: The shape cannot be used.
-        ValueError: A handle holds no part of the surface, or an option is not one that the editors take.
+        ValueError: A handle holds no part of the surface.
+        TypeError: An option is not one that the editors take.
+        Exception: The neural editor and the first of the mesh both fail. If one of them does, its row says why, the
+            record is marked as failed, and the other has its numbers.
     """
     folder = None if folder is None else Path(folder)
     subject = prepare_subject(case, folder=folder, progress=progress)
     operation = operation_of(case.operation)
     target = target_motion(case, subject)
-    sides = edit_by_all(case, subject, target, progress)
-    errors = {
-        name: operation.error_field(subject, target, side, sides["mesh" if name == "implicit" else "implicit"])
-        for name, side in sides.items()
-    }
+    sides, failures = edit_by_each(case, subject, target, progress)
+    errors = {name: _error(case, subject, target, name, sides) for name in sides}
 
     start = perf_counter()
-    field = sides["implicit"].field
-    assert field is not None
-    result = implicit.extract_mesh(field, case.resolution)
-    edited = Edited(measure_field(subject, field), meshref.component_count(*result))
+    result, edited = _edited_surface(case, subject, sides, failures)
     rows = {
         name: measure(case, subject, target, side, errors[name], edited=edited if name == "implicit" else None)
         for name, side in sides.items()
     }
-    distances = between(subject, result, (subject.V + sides["mesh"].displacement, subject.F), case.seed)
+    rows |= {name: _failed_side(error) for name, error in failures.items()}
+    distances = BetweenRow()
+    if result is not None and "mesh" in sides:
+        distances = between(subject, result, (subject.V + sides["mesh"].displacement, subject.F), case.seed)
     seconds = {**subject.seconds, "measures": perf_counter() - start}
 
     artefacts: Mapping[str, Artefact] = {}
@@ -82,16 +82,56 @@ def run_case(
     record = Record(
         case=case,
         key=case.key,
-        status=" ".join(f"{name}: {sides[name].status}" for name in ("implicit", "mesh")),
+        status=" ".join(f"{name}: {rows[name].status}" for name in ("implicit", "mesh")),
+        failed=bool(failures),
         subject=describe(subject, operation.error_means),
-        sides=rows,
+        sides={name: rows[name] for name in ("implicit", *rows) if name in rows},
         between=distances,
         seconds=seconds,
-        notes=(*subject.notes, *_remarks(case, subject, rows)),
+        notes=(*subject.notes, *_remarks(case, subject, sides, rows)),
         artefacts=artefacts,
         provenance=provenance(case),
     )
     return Record.from_dict(record.to_dict())  # plain numbers and lists, the same as will be read from its row
+
+
+Surface = tuple[Float[ndarray, "k 3"], ndarray]
+
+
+def _error(
+    case: Case, subject: Subject, target: Target, name: str, sides: Mapping[str, Outcome]
+) -> Float[ndarray, " n"] | None:
+    """Return the error of one side at each vertex; None where it needs another side that failed."""
+    operation, other = operation_of(case.operation), sides.get("mesh" if name == "implicit" else "implicit")
+    if other is None and operation.error_needs_other:
+        return None
+    return operation.error_field(subject, target, sides[name], sides[name] if other is None else other)
+
+
+def _edited_surface(
+    case: Case, subject: Subject, sides: dict[str, Outcome], failures: dict[str, Exception]
+) -> tuple[Surface | None, Edited | None]:
+    """Return the surface of the edited field and its measures; None where the neural side failed.
+
+    It has failed, too, where the edited field has no closed surface in its bounds. Then its outcome is taken away.
+    """
+    if "implicit" not in sides:
+        return None, None
+    field = sides["implicit"].field
+    assert field is not None
+    try:
+        surface = implicit.extract_mesh(field, case.resolution)
+        return surface, Edited(measure_field(subject, field), meshref.component_count(*surface))
+    except implicit.SurfaceError as error:
+        if "mesh" not in sides:
+            raise
+        failures["implicit"] = error
+        del sides["implicit"]
+        return None, None
+
+
+def _failed_side(error: Exception) -> SideRow:
+    return SideRow(method="", status=f"Failed. {type(error).__name__}: {error}", complete=False)
 
 
 def run_cases(
@@ -195,16 +235,26 @@ def _failure(case: Case, error: Exception) -> Record:
     return Record(case, case.key, f"Failed. {reason}", failed=True, provenance=provenance(case))
 
 
-def _remarks(case: Case, subject: Subject, rows: Mapping[str, SideRow]) -> list[str]:
-    """Return what a reader of the numbers must know: which editor stopped short, and a surface that fell to pieces."""
+def _remarks(case: Case, subject: Subject, sides: Mapping[str, Outcome], rows: Mapping[str, SideRow]) -> list[str]:
+    """Return what a reader of the numbers must know: which editor stopped short, what the editors say of their results,
+    and a surface that fell to pieces."""
     what = f"{case.name}, {case.operation}"
     remarks = [f"{what}, {SIDES.get(name, name)}: {row.status}" for name, row in rows.items() if not row.complete]
-    before, after = meshref.component_count(subject.V, subject.F), rows["implicit"].bodies
-    if before != after:
-        remarks.append(
-            f"{what}: the surface of the field is in {after} pieces after the edit, and was in {before} before."
-        )
+    remarks += [f"{what}, {SIDES.get(name, name)}: {note}" for name, side in sides.items() for note in side.notes]
+    if "implicit" in sides:
+        # Of the field, which may have crumbs that the common mesh is without.
+        before = meshref.component_count(*implicit.extract_mesh(subject.field, case.resolution))
+        after = rows["implicit"].bodies
+        if before != after:
+            remarks.append(
+                f"{what}: the surface of the field is in {_pieces(after)} after the edit, and was in {_pieces(before)} "
+                "before."
+            )
     return remarks
+
+
+def _pieces(count: int) -> str:
+    return "one piece" if count == 1 else f"{count} pieces"
 
 
 def _write(
@@ -212,32 +262,35 @@ def _write(
     subject: Subject,
     target: Target,
     sides: Mapping[str, Outcome],
-    errors: Mapping[str, Float[ndarray, " n"]],
-    result: tuple[Float[ndarray, "k 3"], ndarray],
+    errors: Mapping[str, Float[ndarray, " n"] | None],
+    result: Surface | None,
     folder: Path,
 ) -> dict[str, Artefact]:
-    """Write the edited field, and three meshes in the user's units: before, with the number of the handle as
-    vertex quality, and the two results, with the error."""
+    """Write the edited field, and up to three meshes in the user's units: before, with the number of the handle as
+    vertex quality, and the results there are, with the error."""
     stem = f"{case.name}-{case.operation}-{case.key}"
-    paths = {
-        "field": folder / "fields" / f"{stem}.safetensors",
-        "before": folder / "meshes" / f"{stem}-before.ply",
-        "implicit": folder / "meshes" / f"{stem}-implicit.ply",
-        "mesh": folder / "meshes" / f"{stem}-mesh.ply",
-    }
-    for path in paths.values():
-        path.parent.mkdir(parents=True, exist_ok=True)
-    edited = sides["implicit"].field
-    assert edited is not None
-    implicit.save_field(edited, paths["field"], **saving_options(case))
+    meshes = folder / "meshes"
+    meshes.mkdir(parents=True, exist_ok=True)
+    paths = {"before": meshes / f"{stem}-before.ply"}
     length = subject.scale if operation_of(case.operation).error_is_length else 1.0
 
     meshref.write_mesh(paths["before"], subject.to_user(subject.V), subject.F, quality=target.handle.astype(float))
-    V, F = result
-    error = _carried_over(subject.V + sides["implicit"].displacement, errors["implicit"], V)
-    meshref.write_mesh(paths["implicit"], subject.to_user(V), F, quality=error * length)
-    moved = subject.V + sides["mesh"].displacement
-    meshref.write_mesh(paths["mesh"], subject.to_user(moved), subject.F, quality=errors["mesh"] * length)
+    if result is not None:
+        edited, error = sides["implicit"].field, errors["implicit"]
+        assert edited is not None
+        paths = {"field": folder / "fields" / f"{stem}.safetensors", **paths}
+        paths["field"].parent.mkdir(parents=True, exist_ok=True)
+        implicit.save_field(edited, paths["field"], **saving_options(case))
+        paths["implicit"] = meshes / f"{stem}-implicit.ply"
+        V, F = result
+        if error is not None:
+            error = _carried_over(subject.V + sides["implicit"].displacement, error, V) * length
+        meshref.write_mesh(paths["implicit"], subject.to_user(V), F, quality=error)
+    if "mesh" in sides:
+        error = errors["mesh"]
+        paths["mesh"] = meshes / f"{stem}-mesh.ply"
+        moved = subject.to_user(subject.V + sides["mesh"].displacement)
+        meshref.write_mesh(paths["mesh"], moved, subject.F, quality=None if error is None else error * length)
     return {name: Artefact.of(path, folder) for name, path in paths.items()}
 
 

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import difflib
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
@@ -21,18 +22,40 @@ from compare.cases.case import BUNDLED, FIELD_SUFFIX, MESH_SUFFIXES, Case, NameO
 from compare.cases.subject import Subject
 from compare.errors import InputError, Progress
 from compare.files import plain, replace_file
+from compare.fitting.mending import Mending, read_mended
 from compare.runs.rows import SubjectRow
 
 if TYPE_CHECKING:
     from implicit import Field
 
 
-def check_shape(shape: str, module: str | None = None) -> list[str]:
+# A void of a fit is spurious below this share of the volume round it, and too small for the common mesh below so many
+# of its triangles.
+SPURIOUS = 1e-3
+LEAST_TRIANGLES_OF_A_CAVITY = 40
+
+# What the refusals of meshref advise, as the options of this package.
+AS_OPTIONS = {
+    "Raise hole_limit to close it, or pass closed=False to leave it open.": (
+        "Raise --hole-limit to close it (in a case, hole_limit of its fit)."
+    ),
+    "Pass bodies='largest' or bodies='keep'.": (
+        "Take the largest with --bodies largest (in a case, bodies of its fit), or save one in a file of its own."
+    ),
+    "or pass bodies='largest' if there are others.": (
+        "or take the largest part with --bodies largest if there are others."
+    ),
+    ", or pass closed=False and a lower hole_limit to leave it open": "",
+}
+
+
+def check_shape(shape: str, module: str | None = None, mending: Mending | None = None) -> list[str]:
     """Refuse a shape that cannot be used, before any work; return what will be mended, in sentences.
 
     Args:
         shape: As for Case.
         module: As for Case; its code is run.
+        mending: How a mesh is made solid; by default one body, holes up to a diagonal of its box.
 
     Raises:
         InputError: There is no such shape or file, or the mesh is beyond mending.
@@ -50,7 +73,7 @@ def check_shape(shape: str, module: str | None = None) -> list[str]:
         if loaded.dimension != 3:
             raise InputError(f"{shape} holds a field in {loaded.dimension} dimensions, but a comparison needs 3.")
         return []
-    return load_mesh(shape)[2]
+    return load_mesh(shape, mending)[2]
 
 
 def modules_of(shapes: Sequence[str], module: str | None) -> dict[str, str | None]:
@@ -114,25 +137,38 @@ def _require_file(shape: str) -> str | None:
     return suffix
 
 
-def load_mesh(path: str) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"], list[str]]:
-    """Return the closed, outward mesh of one body in a file, and what was mended, in sentences.
+def load_mesh(
+    path: str, mending: Mending | None = None
+) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"], list[str]]:
+    """Return the closed, outward mesh in a file, and what was mended, in sentences.
+
+    Args:
+        path: The file.
+        mending: How it is made solid; by default one body, holes up to a diagonal of its box.
 
     Raises:
-        InputError: It cannot be read or mended, or holds several bodies.
+        InputError: It cannot be read or mended, or holds several bodies that are refused.
     """
     import meshref
 
     try:
-        V, F, report = meshref.mend_mesh(*meshref.read_mesh(path))
-        if report.bodies > 1:
-            raise InputError(
-                f"{path}: a comparison needs one body, but the mesh holds {report.bodies} that are not connected. Save "
-                "one of them in a file of its own."
-            )
-        V, F = meshref.check_mesh(V, F, closed=True)
+        V, F, report = read_mended(path, mending or Mending())
     except meshref.MeshError as error:
-        raise InputError(f"{path}: {error}") from error
+        sentence = str(error)
+        for library, here in AS_OPTIONS.items():
+            sentence = sentence.replace(library, here)
+        raise InputError(sentence if path in sentence else f"{path}: {sentence}") from error
     return V, F, [f"{path}: {step.rstrip('.')}." for step in report.steps]
+
+
+def mending_of(fit: Mapping[str, Any]) -> Mending:
+    """Return how the mesh of a case is made solid: two of the options of its fit."""
+    return Mending(**{name: fit[name] for name in ("bodies", "hole_limit") if name in fit})
+
+
+def mending_of_settings(settings: Mapping[str, Any]) -> Mending:
+    """Return the same from settings by their dotted names, as a study has them."""
+    return mending_of({name.removeprefix("fit."): value for name, value in settings.items() if name.startswith("fit.")})
 
 
 def prepare_subject(case: Case, *, folder: Path | None = None, progress: Progress | None = None) -> Subject:
@@ -223,36 +259,90 @@ def common_mesh(
     """Return the field's surface as even triangles with about that number of vertices, all on f = 0.
 
     Returns:
-        The largest body of the surface, and a sentence if there are others.
+        The largest body of the surface with its cavities, and sentences on what else there is.
     """
     import torch
 
     import implicit
     import meshref
 
-    V, F = implicit.extract_mesh(field, resolution)
-    bodies = meshref.component_count(V, F)
-    remarks = []
-    if bodies > 1:
-        V, F, _ = meshref.mend_mesh(V, F, bodies="largest")
-        remarks = [f"The surface of the field has {bodies} bodies; only the largest is compared."]
-    # n vertices carry 2n triangles; equilateral ones of that area have this side.
-    side = (2 * meshref.area(V, F) / (3**0.5 * vertices)) ** 0.5
-    V, F = meshref.isotropic_remesh(V, F, side)
+    V, F, remarks = _body(*implicit.extract_mesh(field, resolution), vertices)
+    V, F = meshref.isotropic_remesh(V, F, _side(V, F, vertices))
     V = implicit.project_to_surface(field, torch.from_numpy(V)).numpy()
     return *meshref.check_mesh(V, F, closed=True), remarks
+
+
+def _side(V: Float[ndarray, "n 3"], F: Int[ndarray, "m 3"], vertices: int) -> float:
+    """Return the side of equilateral triangles of which the surface takes twice as many as it shall have vertices."""
+    import meshref
+
+    return float((2 * meshref.area(V, F) / (3**0.5 * vertices)) ** 0.5)
+
+
+def _body(
+    V: Float[ndarray, "n 3"], F: Int[ndarray, "m 3"], vertices: int
+) -> tuple[Float[ndarray, "k 3"], Int[ndarray, "l 3"], list[str]]:
+    """Return the largest body of a field's surface with the cavities that are worth the name, and what was left out."""
+    import meshref
+
+    parts = meshref.component_count(V, F)
+    if parts == 1:
+        return V, F, []
+    V, F, report = meshref.mend_mesh(V, F, bodies="largest")
+    remarks = []
+    others = parts - report.bodies - report.cavities
+    if others:
+        crumbs = "one other piece, which is" if others == 1 else f"{others} other pieces, which are"
+        remarks.append(f"The surface of the field has {crumbs} not compared.")
+    part = meshref.components(V, F)
+    of_face = part[F[:, 0]]
+    surfaces = [F[of_face == k] for k in range(part.max() + 1)]
+    volumes = [_enclosed(V, faces) for faces in surfaces]
+    outer = max(volumes)
+    smallest = LEAST_TRIANGLES_OF_A_CAVITY * 3**0.5 / 4 * _side(V, F, vertices) ** 2
+    spurious = [
+        k
+        for k, volume in enumerate(volumes)
+        if volume < 0 and (-volume < SPURIOUS * outer or _area(V, surfaces[k]) < smallest)
+    ]
+    if spurious:
+        share = -sum(volumes[k] for k in spurious) / outer
+        voids = "a void" if len(spurious) == 1 else f"{len(spurious)} voids"
+        remarks.append(
+            f"The surface of the field has {voids} of {100 * share:.2g} % of its volume inside, which is too small to "
+            "be compared."
+        )
+        keep = ~np.isin(of_face, spurious)
+        used = np.unique(F[keep])
+        V, F = V[used], np.searchsorted(used, F[keep])
+    return V, F, remarks
+
+
+def _enclosed(V: Float[ndarray, "n 3"], F: Int[ndarray, "m 3"]) -> float:
+    A, B, C = (V - V[F[0, 0]])[F].transpose(1, 0, 2)
+    return float((A * np.cross(B, C)).sum() / 6)
+
+
+def _area(V: Float[ndarray, "n 3"], F: Int[ndarray, "m 3"]) -> float:
+    return float(np.linalg.norm(np.cross(V[F[:, 1]] - V[F[:, 0]], V[F[:, 2]] - V[F[:, 0]]), axis=1).sum() / 2)
 
 
 def _fit(case: Case, progress: Progress | None) -> tuple[Field, dict[str, Any], list[str]]:
     from compare.fitting.fit import fit_mesh
 
-    V, F, notes = load_mesh(case.shape)
+    options = case.parameters.get("fit", {})
+    mending = mending_of(options)
+    if mending.bodies == "keep":
+        raise InputError(
+            "A comparison needs one body, but the case keeps several. Take bodies='largest' or 'refuse' for its fit."
+        )
+    V, F, notes = load_mesh(case.shape, mending)
 
     def tell(step: int, steps: int, _: Any) -> None:
         if progress is not None:
             progress(step, steps, "fitting a field")
 
-    fitted, report = fit_mesh(V, F, seed=case.seed, progress=tell, **case.parameters.get("fit", {}))
+    fitted, report = fit_mesh(V, F, seed=case.seed, progress=tell, **{**options, **asdict(mending)})
     return fitted, report.to_dict(), [*notes, f"The fit of a field to {case.name}: {report.verdict}"]
 
 

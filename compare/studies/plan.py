@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from numpy import ndarray
@@ -24,8 +25,9 @@ from compare.cases.default_cases import QUICK_FIT, QUICK_SIZE, default_cases
 from compare.cases.settings import OF_A_CASE, parts_of, with_settings
 from compare.errors import InputError
 from compare.fitting.fit import fit_mesh, place_in_cube
+from compare.fitting.mending import Mending
 from compare.operations.operation import operation_of
-from compare.runs.subject import load_mesh
+from compare.runs.subject import load_mesh, mending_of_settings
 from compare.studies.study import Study, settings_at
 from implicit.renamed import former_names
 from implicit.shapes import bundled
@@ -53,12 +55,13 @@ def plan(study: Study, inputs: Path, modules: Mapping[str, str | None] | None = 
     """
     check_options(study)
     cases = []
+    mending = mending_of_settings(study.settings)
     for name in study.shapes:
         shape = _as_mesh(name, inputs) if _fits(study) and name in BUNDLED else name
         module = None if modules is None else modules.get(shape)
-        V, N = outline(shape, module)
+        V, N, bounds = outline(shape, module, mending)
         fit = QUICK_FIT if study.quick and Path(shape).suffix.lower() in MESH_SUFFIXES else {}
-        settings: dict[str, Any] = {**(QUICK_SIZE if study.quick else {}), "module": module}
+        settings: dict[str, Any] = {**(QUICK_SIZE if study.quick else {}), "module": module, "bounds": bounds}
         for base in default_cases(shape, V, N, operations=study.operations, quick=study.quick, fit=fit, **settings):
             if study.handles and base.handles:
                 base = replace(base, handles=study.handles)
@@ -74,15 +77,20 @@ def combinations(study: Study) -> Iterator[dict[str, Any]]:
         yield {name: value for part in point for name, value in part.items()}
 
 
-def outline(shape: str, module: str | None = None) -> tuple[Float[ndarray, "n 3"], Float[ndarray, "n 3"]]:
-    """Return points spread evenly over a shape, in its field's coordinates, and outward normals there."""
+def outline(
+    shape: str, module: str | None = None, mending: Mending | None = None
+) -> tuple[Float[ndarray, "n 3"], Float[ndarray, "n 3"], Float[ndarray, "2 3"]]:
+    """Return points spread evenly over a shape, in its field's coordinates, outward normals there, and its bounds."""
     if Path(shape).suffix.lower() in MESH_SUFFIXES:
-        V, F, _ = load_mesh(shape)
+        V, F, _ = load_mesh(shape, mending)
         V, _ = place_in_cube(V)
+        bounds = np.array([[-1.0] * 3, [1.0] * 3])  # of every field that is fitted to a mesh
     else:
-        V, F = implicit.extract_mesh(_field(shape, module), CELLS)
+        field = _field(shape, module)
+        V, F = implicit.extract_mesh(field, CELLS)
+        bounds = field.bounds.cpu().numpy()
     sample = meshref.sample_mesh(V, F, POINTS)
-    return sample.points, sample.normals
+    return sample.points, sample.normals, bounds
 
 
 def check_options(study: Study) -> None:

@@ -22,7 +22,7 @@ from compare.errors import InputError, Progress
 from compare.files import replace_file
 from compare.runs.lock import FILE as LOCK_FILE, lock
 from compare.runs.records import FILE, Record, read
-from compare.runs.subject import check_shape, modules_of
+from compare.runs.subject import check_shape, mending_of_settings, modules_of
 from compare.studies.study import Study, find_study
 
 SCHEMA = 1
@@ -98,7 +98,7 @@ def run_study(
     require_folder_of(study, folder)
     modules = modules_of(study.shapes, module)
     for shape in study.shapes:
-        check_shape(shape, modules[shape])
+        check_shape(shape, modules[shape], mending_of_settings(study.settings))
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with lock(folder):

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from meshref.formats.text import DamageError, as_mesh, exact, lines_of, numbers
+from meshref.formats.polygons import as_mesh
+from meshref.formats.text import DamageError, exact, lines_of, numbers
 from meshref.topology import FloatArray, IntArray
 
 
@@ -17,7 +18,7 @@ def read(content: bytes) -> tuple[FloatArray, IntArray]:
         return plain
     vertices: list[list[float]] = []
     polygons: list[list[int]] = []
-    for line, words in lines_of(content):
+    for line, words in lines_of(content, continued="\\"):
         if words[0] == "v":
             point = numbers(words[1:4], line, float)
             if len(point) < 3:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 from numpy.typing import NDArray
 
-from meshref.formats.text import DamageError, as_mesh
+from meshref.formats.polygons import triangulated
+from meshref.formats.text import DamageError
 from meshref.topology import FloatArray, IntArray
 
 TYPES = {
@@ -13,6 +16,11 @@ TYPES = {
     "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
     "double": "f8", "float64": "f8",
 }  # fmt: skip
+
+
+Property = tuple[str, str, str | None]  # name, type, type of the length if it is a list
+Column: TypeAlias = "NDArray[np.generic] | list[list[float]]"
+Table: TypeAlias = dict[str, Column]
 
 
 def read(content: bytes) -> tuple[FloatArray, IntArray]:
@@ -29,29 +37,44 @@ def read(content: bytes) -> tuple[FloatArray, IntArray]:
         source: Ascii | Binary = Ascii(body)
     else:
         source = Binary(body, "<" if encoding == "binary_little_endian" else ">")
-    vertices, polygons = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
-    for name, count, properties in elements:
-        table = source.read(name, count, properties)
-        if name == "vertex":
-            missing = [x for x in "xyz" if x not in table]
-            if missing:
-                raise DamageError(f"its vertices have no property {missing[0]}")
-            vertices = np.stack([np.asarray(table[x], dtype=np.float64) for x in "xyz"], axis=1)
-        elif name == "face":
-            lists = table.get("vertex_indices", table.get("vertex_index"))
-            if lists is None:
-                raise DamageError("its faces have no property vertex_indices")
-            if isinstance(lists, np.ndarray):
-                k = lists.shape[1]
-                fans = [lists[:, [0, i, i + 1]] for i in range(1, k - 1)]
-                polygons = np.stack(fans, axis=1).reshape(-1, 3).astype(np.int64) if fans else polygons
-            else:
-                polygons = as_mesh([], [_whole(p) for p in lists])[1]
-    return vertices, polygons
+    tables = {name: source.read(name, count, properties) for name, count, properties in elements}
+    vertices = tables.get("vertex", {x: np.zeros(0) for x in "xyz"})
+    missing = [x for x in "xyz" if x not in vertices]
+    if missing:
+        raise DamageError(f"its vertices have no property {missing[0]}")
+    V = np.stack([np.asarray(vertices[x], dtype=np.float64) for x in "xyz"], axis=1)
+    faces = [np.zeros((0, 3), dtype=np.int64)]
+    if "face" in tables:
+        lists = _corners(tables["face"], "faces")
+        if isinstance(lists, np.ndarray):
+            faces.append(triangulated(V, lists.astype(np.int64)))
+        else:
+            faces.append(triangulated(V, [_whole(polygon) for polygon in lists]))
+    for name in ("tristrips", "tristrip"):
+        if name in tables:
+            lists = _corners(tables[name], "strips of triangles")
+            faces += [_strips(_whole(list(map(float, strip)))) for strip in lists]
+    return V, np.concatenate(faces)
 
 
-Property = tuple[str, str, str | None]  # name, type, type of the length if it is a list
-Table = dict[str, "NDArray[np.generic] | list[list[float]]"]
+def _corners(table: Table, what: str) -> Column:
+    lists = table.get("vertex_indices", table.get("vertex_index"))
+    if lists is None:
+        raise DamageError(f"its {what} have no property vertex_indices")
+    return lists
+
+
+def _strips(corners: list[int]) -> IntArray:
+    """Return the triangles of strips that end with -1: each further corner makes one with the last two, by turns."""
+    strip = np.array(corners, dtype=np.int64)
+    strip[strip == 2**32 - 1] = -1  # as an unsigned number
+    F = np.stack([strip[:-2], strip[1:-1], strip[2:]], axis=1)
+    place = np.arange(len(strip))
+    start = np.maximum.accumulate(np.where(np.roll(strip, 1) == -1, place, 0))  # of the strip that each belongs to
+    turned = (place - start)[:-2] % 2 == 1
+    F[turned] = F[turned][:, [1, 0, 2]]
+    whole = (F >= 0).all(axis=1)
+    return F[whole & (np.roll(F, 1, axis=1) != F).all(axis=1)]  # strips turn corners by triangles without area
 
 
 def _header(header: str) -> tuple[str, list[tuple[str, int, list[Property]]]]:

@@ -1,24 +1,33 @@
-"""Parts that the readers share: words of a text by lines, numbers among them, and polygons as triangles."""
+"""Parts that the readers share: words of a text by lines, and numbers among them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-import numpy as np
-
-from meshref.topology import FloatArray, IntArray
+from meshref.topology import FloatArray
 
 
 class DamageError(Exception):
     """A fault inside a file; read_mesh adds the name of the file."""
 
 
-def lines_of(content: bytes) -> Iterator[tuple[int, list[str]]]:
-    """Yield the words of each line that has any, with its number; what follows a # is left out."""
+def lines_of(content: bytes, continued: str | None = None) -> Iterator[tuple[int, list[str]]]:
+    """Yield the words of each line that has any, with its number; what follows a # is left out.
+
+    Args:
+        content: Of the file.
+        continued: What ends a line that goes on in the next, if anything does.
+    """
+    words: list[str] = []
     for number, line in enumerate(content.decode("latin-1").splitlines(), start=1):
-        words = line.split("#", 1)[0].split()
-        if words:
+        text = line.split("#", 1)[0].rstrip()
+        goes_on = continued is not None and text.endswith(continued)
+        words += (text[: -len(continued)] if goes_on and continued else text).split()
+        if words and not goes_on:
             yield number, words
+            words = []
+    if words:
+        yield number, words
 
 
 def numbers(words: list[str], line: int, kind: Callable[[str], float]) -> list[float]:
@@ -27,16 +36,6 @@ def numbers(words: list[str], line: int, kind: Callable[[str], float]) -> list[f
         return [kind(word) for word in words]
     except ValueError:
         raise DamageError(f"line {line} has {' '.join(words)[:40]!r} where numbers should be") from None
-
-
-def as_mesh(vertices: list[list[float]], polygons: list[list[int]]) -> tuple[FloatArray, IntArray]:
-    """Return arrays of vertices and of polygons, each split into a fan of triangles."""
-    V = np.array(vertices, dtype=np.float64).reshape(-1, 3)
-    fans = [[p[0], p[k], p[k + 1]] for p in polygons for k in range(1, len(p) - 1)]
-    try:
-        return V, np.array(fans, dtype=np.int64).reshape(-1, 3)
-    except OverflowError:
-        raise DamageError("a face names a vertex whose number has more than 18 digits") from None
 
 
 def exact(V: FloatArray) -> list[str]:

@@ -94,7 +94,7 @@ def _of_shapes() -> Iterator[BadCase]:
         ("unknown", "spto"),
         ("missing", "gone.obj"),
         ("a missing field", "gone.safetensors"),
-        ("of another kind", "shape.gltf"),
+        ("of another kind", "shape.x3d"),
     ]
     for function, call in {"prepare_subject": compare.prepare_subject, "run_case": compare.run_case}.items():
         yield from refusals(function, "shape", names, lambda x, call=call: call(Case(x, "smooth")), "shape")

@@ -70,9 +70,9 @@ def broken(what):
         ("infinite", r"must be finite.*V\[3\] = \(inf"),
         ("too large an index", r"F must index the 42 rows.*F\[5, 2\] = 42"),
         ("negative index", r"F\[5, 2\] = -1"),
-        ("unreferenced", r"1 are unreferenced, first vertex 42.*mend_mesh"),
-        ("repeated corner", r"1 are degenerate, first face 4 .*mend_mesh"),
-        ("flat", r"1 are degenerate, first face 80 "),
+        ("unreferenced", r"one is unreferenced, first vertex 42.*mend_mesh"),
+        ("repeated corner", r"one is degenerate, first face 4 .*mend_mesh"),
+        ("flat", r"one is degenerate, first face 80 "),
         ("fractions", r"whole numbers, but F\[0, 0\]"),
         ("2d", r"V must have shape \(k, 3\).*\(42, 2\)"),
         ("quads", r"F must have shape \(m, 3\).*\(2, 4\).*triangles"),
@@ -124,7 +124,7 @@ def test_two_bodies_that_share_a_vertex_are_pinched():
     V, F = box()
     second = np.where(F == 7, 0, 8 + F)  # corner 7 of the second, moved by -1, is corner 0 of the first
     V2, F2 = np.concatenate([V, V[:7] - 1]), np.concatenate([F, second])
-    with pytest.raises(MeshError, match=r"one fan, but 1 vertices join several sheets, first vertex 0 at \(0, 0, 0\)"):
+    with pytest.raises(MeshError, match=r"one fan, but one vertex joins several sheets, first vertex 0 at \(0, 0, 0\)"):
         check_mesh(V2, F2, closed=True)
 
 

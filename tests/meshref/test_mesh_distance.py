@@ -90,3 +90,25 @@ def test_bad_points_are_refused():
         signed_distance(V, F, [[0, 0, 0], [0, np.nan, 0]])
     with pytest.raises(MeshError, match=r"P must have shape \(k, 3\)"):
         signed_distance(V, F, np.zeros((4, 2)))
+
+
+@pytest.mark.parametrize("beside", [False, True])
+@pytest.mark.parametrize("hole", [0, 3])
+def test_a_surface_that_is_inside_out_is_refused(beside, hole):
+    """Alone or beside one that is right, and where some of its faces are missing."""
+    V, F = icosphere(2)
+    inverted = F[hole:, ::-1]
+    used = np.unique(inverted)
+    V2, F2 = V[used], np.searchsorted(used, inverted)
+    if beside:
+        V2, F2 = np.concatenate([V + np.array([5.0, 0, 0]), V2]), np.concatenate([F, F2 + len(V)])
+    with pytest.raises(MeshError, match="must be oriented outwards, but those of the part of face"):
+        signed_distance(V2, F2, np.zeros((1, 3)))
+
+
+def test_a_cavity_is_not_inside_out():
+    V, F = icosphere(2)
+    hollow = np.concatenate([V, V / 2]), np.concatenate([F, F[:, ::-1] + len(V)])
+    assert signed_distance(*hollow, np.array([[0.0, 0, 0], [0.75, 0, 0]])).distance == pytest.approx(
+        [0.48, -0.25], abs=0.03
+    )

@@ -1,12 +1,14 @@
 """Files: what is written comes back, and what is broken is refused with one clear error."""
 
+import json
 import re
+import sys
 
 import numpy as np
 import pytest
 import trimesh
 
-from meshref import MeshError, check_mesh, icosphere, read_mesh, torus, volume, write_mesh
+from meshref import MeshError, box, check_mesh, icosphere, read_mesh, torus, volume, write_mesh
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".off", ".PLY"])
@@ -61,6 +63,18 @@ SQUARE = {
     "obj, backwards": "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf -4 -3 -2 -1\n",
     "off": "OFF\n# a square\n4 1 0\n\n0 0 0\n1 0 0\n1 1 0 # third\n0 1 0\n4 0 1 2 3 255 0 0\n",
     "off, short header": "OFF 4 1 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n4 0 1 2 3\n",
+    "obj, over several lines": "v 0 0 0\nv 1 0 \\\n  0\nv 1 1 0\nv 0 1 0\nf 1 2 \\\n3 4\n",
+    "obj, with a byte-order mark": "\ufeffv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n",
+    "off, all in the first line": "OFF4 1 4\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n4 0 1 2 3\n",
+    "off, in small letters": "off\n4 1 4\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n4 0 1 2 3\n",
+    "off, faces over several lines": "OFF\n4 1 4\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n4 0\n1 2\n3\n",
+    "off, counts over several lines": "OFF\n4\n1\n0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n4 0 1 2 3\n",
+    "off, with colours": "COFF\n4 1 4\n0 0 0 1 0 0 1\n1 0 0 1 0 0 1\n1 1 0 1 0 0 1\n0 1 0 1 0 0 1\n4 0 1 2 3 0.5\n",
+    "stl of a facet with four corners": "solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\n"
+    "vertex 1 1 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid x\n",
+    "ply of a strip": "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+    "element tristrips 1\nproperty list int int vertex_indices\nend_header\n"
+    "0 0 0\n1 0 0\n1 1 0\n0 1 0\n9 0 1 2 -1 0 2 3 -1 3\n",
     "ply": "ply\nformat ascii 1.0\ncomment a square\nelement vertex 4\nproperty float x\nproperty float y\n"
     "property float z\nproperty uchar red\nelement face 1\nproperty list uchar int vertex_index\nend_header\n"
     "0 0 0 9\n1 0 0 9\n1 1 0 9\n0 1 0 9\n4 0 1 2 3\n",
@@ -68,9 +82,9 @@ SQUARE = {
 
 
 @pytest.mark.parametrize("kind", SQUARE)
-def test_polygons_become_fans(tmp_path, kind):
+def test_squares_are_read_in_all_spellings(tmp_path, kind):
     path = tmp_path / f"square.{kind[:3]}"
-    path.write_text(SQUARE[kind])
+    path.write_text(SQUARE[kind], encoding="utf-8")
     V, F = read_mesh(path)
     np.testing.assert_array_equal(V, [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     np.testing.assert_array_equal(F, [[0, 1, 2], [0, 2, 3]])
@@ -125,7 +139,13 @@ PLY_FACES = "element face 1\nproperty list uchar int vertex_indices\nend_header\
         ("bare.ply", PLY + "end_header\n0 0 0\n1 0 0\n0 1 0\n", "3 vertices and 0 faces"),
         ("text.stl", "Dear friend,\n", "neither text nor binary"),
         ("short.stl", "solid x\nvertex 0 0 0\nvertex 1 0 0\n", "2 corners"),
-        ("mesh.xyz", "0 0 0\n", r"must end in .obj, .off, .ply, .stl"),
+        ("mesh.xyz", "0 0 0\n", r"must end in .obj, .off, .ply, .stl, .glb"),
+        ("four.off", "4OFF\n3 1 0\n0 0 0 1\n1 0 0 1\n0 1 0 1\n3 0 1 2\n", "4OFF, whose vertices do not have three"),
+        ("facet.stl", "solid x\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nendloop\n", "line 5 ends a facet with less"),
+        ("text.gltf", "Dear friend,\n", "no description in JSON"),
+        ("list.gltf", "[]", "its description is no object"),
+        ("short.glb", "glTF....", "no description in JSON"),
+        ("draco.gltf", '{"extensionsRequired": ["KHR_draco_mesh_compression"]}', "needs KHR_draco_mesh_compression"),
         ("mesh", "0 0 0\n", r"must end in .obj"),
     ],
 )
@@ -143,7 +163,7 @@ def test_missing_files_and_directories_are_refused(tmp_path):
         read_mesh(tmp_path / "folder.obj")
 
 
-@pytest.mark.parametrize("suffix", ["obj", "off", "ply", "stl"])
+@pytest.mark.parametrize("suffix", ["obj", "off", "ply", "stl", "glb", "gltf", "3mf", "dae"])
 def test_random_bytes_end_in_a_mesh_error(tmp_path, suffix, rng):
     path = tmp_path / f"noise.{suffix}"
     path.write_bytes(rng.bytes(2000))
@@ -215,3 +235,112 @@ def test_a_plain_obj_reads_as_one_with_more_at_its_corners(tmp_path):
     assert "//" in full.read_text()
     for wanted, found in zip(read_mesh(plain), read_mesh(full)):
         np.testing.assert_array_equal(wanted, found)
+
+
+def test_strips_turn_at_every_corner_and_begin_anew(tmp_path):
+    """An octahedron of two strips, the first with a corner turned by a triangle without area, against its faces."""
+    V = np.concatenate([np.eye(3), -np.eye(3)])
+    strips = [0, 1, 2, 3, 3, 5, -1]
+    head = "ply\nformat {} 1.0\nelement vertex 6\n" + "".join(f"property double {x}\n" for x in "xyz")
+    head += "element tristrips 1\nproperty list int int vertex_indices\nend_header\n"
+    text = "\n".join([*(" ".join(map(str, p)) for p in V.tolist()), " ".join(map(str, [len(strips), *strips])), ""])
+    (tmp_path / "text.ply").write_text(head.format("ascii") + text)
+    binary = V.astype("<f8").tobytes() + np.array([len(strips), *strips], dtype="<i4").tobytes()
+    (tmp_path / "binary.ply").write_bytes(head.format("binary_little_endian").encode() + binary)
+    for name in ("text.ply", "binary.ply"):
+        np.testing.assert_array_equal(read_mesh(tmp_path / name)[1], [[0, 1, 2], [2, 1, 3]])
+
+
+def test_a_closed_surface_of_strips_is_closed(tmp_path):
+    V, F = torus(12, 8)
+    strips = []
+    for i in range(12):  # round the tube: two rings of vertices by turns
+        ring, following = 8 * i + np.arange(9) % 8, 8 * ((i + 1) % 12) + np.arange(9) % 8
+        strips += [*np.column_stack([ring, following]).ravel().tolist(), -1]
+    head = f"ply\nformat ascii 1.0\nelement vertex {len(V)}\n" + "".join(f"property double {x}\n" for x in "xyz")
+    head += "element tristrips 1\nproperty list int int vertex_indices\nend_header\n"
+    rows = [" ".join(map(repr, p)) for p in V.tolist()]
+    (tmp_path / "torus.ply").write_text(head + "\n".join([*rows, " ".join(map(str, [len(strips), *strips])), ""]))
+    read_V, read_F = read_mesh(tmp_path / "torus.ply")
+    assert len(read_F) == len(F)
+    enclosed = volume(read_V, read_F)  # refuses what is not closed and oriented alike
+    assert abs(enclosed) == pytest.approx(volume(V, F), rel=0.02)
+
+
+def scene_of_trimesh():
+    """A ball, and a box that is mirrored, turned and moved to (5, 0, 0): of volumes known."""
+    scene = trimesh.Scene()
+    V, F = icosphere(2)
+    scene.add_geometry(trimesh.Trimesh(V, F, process=False))
+    place = np.diag([-2.0, 1, 1, 1])
+    place[:3, 3] = [5, 0, 0]
+    box_V, box_F = box()
+    scene.add_geometry(trimesh.Trimesh(box_V, box_F, process=False), transform=place)
+    return scene, volume(V, F)
+
+
+@pytest.mark.parametrize("suffix", ["glb", "gltf", "3mf"])
+def test_scenes_are_read_with_every_mesh_in_its_place(tmp_path, suffix):
+    if suffix == "3mf":
+        pytest.importorskip("lxml", reason="lxml is not installed")
+    scene, ball = scene_of_trimesh()
+    content = scene.export(file_type=suffix)
+    files = content if isinstance(content, dict) else {f"scene.{suffix}": content}
+    for name, data in files.items():
+        (tmp_path / name).write_bytes(data)
+    V, F = read_mesh(next(path for path in tmp_path.iterdir() if path.suffix == f".{suffix}"))
+    check_mesh(V, F, closed=True)
+    assert volume(V, F) == pytest.approx(ball + 2, rel=1e-6)
+    np.testing.assert_allclose(V.max(axis=0), [5, 1, 1], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda header: header["accessors"][0].update(sparse={}), "sparse"),
+        (lambda header: [a.update(componentType=5122) for a in header["accessors"]], "whole numbers"),
+        (lambda header: header["meshes"][0]["primitives"][0].update(mode=6), "mode 6"),
+        (lambda header: header["meshes"][0].pop("primitives"), "parts that are not there"),
+        (lambda header: header.update(buffers=[]), "its reader says IndexError"),
+    ],
+)
+def test_what_would_be_read_wrong_of_a_gltf_is_refused(tmp_path, change, message):
+    scene, _ = scene_of_trimesh()
+    for name, data in scene.export(file_type="gltf").items():
+        (tmp_path / name).write_bytes(data)
+    path = next(tmp_path.glob("*.gltf"))
+    header = json.loads(path.read_text())
+    change(header)
+    path.write_text(json.dumps(header))
+    with pytest.raises(MeshError, match=message):
+        read_mesh(path)
+
+
+DAE = """<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><unit name="m" meter="1"/><up_axis>Z_UP</up_axis></asset><library_geometries><geometry id="g"><mesh>
+<source id="p"><float_array id="a" count="24">0 0 0 6 0 0 1 1 0 0 6 0 0 0 1 6 0 1 1 1 1 0 6 1</float_array>
+<technique_common><accessor source="#a" count="8" stride="3"><param name="X" type="float"/>
+<param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#p"/></vertices><polylist count="6">
+<input semantic="VERTEX" source="#v" offset="0"/><vcount>4 4 4 4 4 4</vcount>
+<p>3 2 1 0 4 5 6 7 0 1 5 4 1 2 6 5 2 3 7 6 3 0 4 7</p></polylist></mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="s"><node><translate>9 0 0</translate><instance_geometry url="#g"/></node>
+</visual_scene></library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>"""
+
+
+def test_a_dae_of_darts_has_its_volume(tmp_path):
+    pytest.importorskip("collada", reason="pycollada is not installed")
+    (tmp_path / "dart.dae").write_text(DAE)
+    V, F = read_mesh(tmp_path / "dart.dae")
+    check_mesh(V, F, closed=True)
+    assert volume(V, F) == pytest.approx(6, rel=1e-6)
+    assert V[:, 0].min() == pytest.approx(9)
+
+
+@pytest.mark.parametrize("suffix", ["3mf", "dae"])
+def test_scenes_that_need_a_package_say_which(tmp_path, suffix, monkeypatch):
+    monkeypatch.setitem(sys.modules, "lxml", None)
+    monkeypatch.setitem(sys.modules, "collada", None)
+    (tmp_path / f"a.{suffix}").write_text(DAE)
+    with pytest.raises(MeshError, match=r"needs lxml.*pip install 'implicit-vs-mesh\[formats\]'"):
+        read_mesh(tmp_path / f"a.{suffix}")

@@ -53,6 +53,13 @@ def with_two_bodies(path):
     write_off(path, np.vstack([V, V + 5]), np.vstack([F, F + len(V)]))
 
 
+def with_a_long_hole(path):
+    V, F = sphere()
+    F = F[(V[F][:, :, 2] < 0.15).all(axis=1)]
+    used = np.unique(F)
+    write_off(path, V[used], np.searchsorted(used, F))
+
+
 def with_a_point_cloud(path):
     write_off(path, sphere()[0], [])
 
@@ -70,11 +77,12 @@ BROKEN = {
     "text named .obj": ("a.obj", with_text, "a.obj"),
     "text named .off": ("a.off", with_text, "must begin with the word OFF"),
     "text named .ply": ("a.ply", with_text, "must begin with the word ply"),
-    "text named .stl": ("a.stl", with_text, "no .stl mesh"),
+    "text named .stl": ("a.stl", with_text, "fits neither text nor binary"),
     "text named .safetensors": ("a.safetensors", with_text, "a.safetensors"),
     "NaN coordinates": ("a.off", with_nan, "must be finite"),
     "index out of range": ("a.off", with_wrong_index, "vertex 162"),
-    "two bodies": ("a.off", with_two_bodies, "needs one body"),
+    "two bodies": ("a.off", with_two_bodies, "Take the largest with --bodies largest"),
+    "a long hole": ("a.off", with_a_long_hole, "Raise --hole-limit"),
     "no faces": ("a.off", with_a_point_cloud, "0 faces"),
 }
 
@@ -94,7 +102,7 @@ def test_a_broken_file_is_refused(command, case, tmp_path):
     [
         (["gone.obj"], "There is no file gone.obj"),
         (["spto"], "Did you mean spot?"),
-        (["shape.gltf"], "ending in .obj, .off, .ply, .stl or .safetensors"),
+        (["shape.x3d"], "ending in .obj, .off, .ply, .stl, .glb, .gltf, .3mf, .dae or .safetensors"),
         (["spot", "spot"], "spot is named twice"),
         (["spot", "gone.obj"], "There is no file gone.obj"),
     ],
@@ -184,6 +192,31 @@ def test_what_can_be_mended_is_mended_and_said(case, tmp_path):
     V, F, _ = load_mesh(str(tmp_path / "ball.off"))
     assert meshref.volume(V, F) > 0
     assert np.abs(V).max() <= 1
+
+
+def test_the_options_that_refusals_name_are_taken(tmp_path):
+    from compare.errors import InputError
+    from compare.fitting.mending import Mending
+    from compare.runs.subject import check_shape, load_mesh
+
+    path = str(tmp_path / "a.off")
+    with_two_bodies(tmp_path / "a.off")
+    with pytest.raises(InputError, match="--bodies largest"):
+        check_shape(path)
+    assert any("dropped 1 smaller body" in said for said in check_shape(path, None, Mending("largest")))
+    with_a_long_hole(tmp_path / "a.off")
+    with pytest.raises(InputError, match="--hole-limit"):
+        check_shape(path)
+    V, F, said = load_mesh(path, Mending(hole_limit=3.0))
+    assert any("closed 1 hole" in sentence for sentence in said)
+    meshref.check_mesh(V, F, closed=True)
+
+
+@pytest.mark.parametrize("arguments", [["run", "spot"], ["fit", "a.off", "-o", "a.safetensors"]])
+def test_a_hole_limit_below_zero_is_refused(command, arguments, tmp_path):
+    with_two_bodies(tmp_path / "a.off")
+    result = command(*arguments, "--hole-limit", "-1", cwd=tmp_path)
+    assert "--hole-limit must be a number of diagonals" in refused(result)
 
 
 def test_a_mended_mesh_is_fitted_and_the_mending_is_printed(command, tmp_path):

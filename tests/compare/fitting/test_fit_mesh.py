@@ -203,3 +203,34 @@ def test_bundling_writes_a_field_and_its_report(tmp_path):
     report = json.loads((tmp_path / "cactus.json").read_text())
     assert field.theta.numel() == report["parameters"] == 2273
     assert (tmp_path / "cactus.safetensors").stat().st_size < 100_000
+
+
+@pytest.mark.usefixtures("light")
+def test_a_fit_below_the_quality_is_made_wider_within_its_budget():
+    """A network of 4 sines a layer bends no torus; the report names every network, and the best is returned."""
+    field, report = fit_mesh(V, F, width=4, steps=120, quality=0.003, budget=60.0)
+    assert report.good
+    assert len(report.attempts) >= 2
+    assert report.attempts[0].startswith("3 layers, 61 parameters, 120 steps: Below")
+    assert "Good" in report.attempts[-1]
+    assert report.parameters == field.theta.numel() > 61
+    json.dumps(report.to_dict(), allow_nan=False)
+
+
+@pytest.mark.usefixtures("coarse")
+def test_a_budget_that_is_over_ends_the_attempts_and_the_best_is_kept():
+    _, report = fit_mesh(V, F, width=4, steps=5, quality=1e-9, budget=0.01)
+    assert not report.good
+    assert len(report.attempts) == 1
+    _, alone = fit_mesh(V, F, width=4, steps=5)
+    assert alone.attempts == ()
+
+
+def test_a_budget_is_refused_where_the_network_is_fixed_or_it_is_no_time(tmp_path):
+    for wrong in (0, -1.0, math.inf, math.nan, "a minute"):
+        with pytest.raises(ValueError, match="budget must be a positive number"):
+            fit_mesh(V, F, budget=wrong)
+        with pytest.raises(ValueError, match="quality must be a positive number"):
+            fit_mesh(V, F, quality=wrong)
+    with pytest.raises(ValueError, match="budget widens the network, but checkpoint fixes it"):
+        fit_mesh(V, F, budget=10.0, checkpoint=tmp_path / "state.safetensors")

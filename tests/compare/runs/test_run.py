@@ -10,7 +10,7 @@ import torch
 
 import implicit
 import meshref
-from compare import Case, HandleSpec, run_case, run_cases
+from compare import Case, HandleSpec, report, run_case, run_cases
 from compare.reports.views import load_views, read_view
 from compare.runs.records import FILE, read
 
@@ -149,3 +149,76 @@ def test_an_editor_that_stops_short_is_named_in_the_notes(shape_file):
     assert "mesh" in short
     for name in short:
         assert any(record.sides[name]["status"] in note for note in record.notes)
+
+
+def failing(*_):
+    raise RuntimeError("The solver gave up.")
+
+
+def test_the_mesh_keeps_its_row_where_the_neural_side_fails(small_cases, tmp_path, monkeypatch):
+    """For each operation: numbers, a file and a section of the report of the mesh, and the reason of the other side."""
+    monkeypatch.setattr("compare.runs.operations._edit_field", failing)
+    records = run_cases(small_cases, folder=tmp_path)
+    assert all(record.failed for record in records)
+    for record in records:
+        assert record.sides["implicit"].status == "Failed. RuntimeError: The solver gave up."
+        assert record.sides["mesh"].killing_energy >= 0
+        assert set(record.artefacts) == {"before", "mesh"}
+        assert any("neural: Failed. RuntimeError" in note for note in record.notes)
+    assert "error_rms" in next(r for r in records if r.case.operation == "geometric").sides["mesh"]
+    assert (
+        "error_rms" not in next(r for r in records if r.case.operation == "smooth").sides["mesh"]
+    )  # which is judged by the other side
+    page = report(records, tmp_path / "report.html").read_text()
+    assert page.count('class="case"') == 3
+    assert "The solver gave up." in page
+    assert read(tmp_path) == records
+
+
+def test_the_field_keeps_its_row_where_the_mesh_fails(small_cases, tmp_path, monkeypatch):
+    from compare.operations.operation import operation_of
+
+    case = next(case for case in small_cases if case.operation == "geometric")
+    monkeypatch.setattr(type(operation_of("geometric")), "mesh_editors", lambda _: {"mesh": failing})
+    (record,) = run_cases([case], folder=tmp_path)
+    assert record.failed
+    assert record.sides["mesh"].status == "Failed. RuntimeError: The solver gave up."
+    assert record.sides["implicit"].volume_after > 0
+    assert set(record.artefacts) == {"field", "before", "implicit"}
+    assert record.between == {}
+
+
+def test_a_case_fails_where_both_sides_do(small_cases, monkeypatch):
+    from compare.operations.operation import operation_of
+
+    monkeypatch.setattr(type(operation_of("geometric")), "mesh_editors", lambda _: {"mesh": failing})
+    monkeypatch.setattr("compare.runs.operations._edit_field", failing)
+    with pytest.raises(RuntimeError, match="gave up"):
+        run_case(next(case for case in small_cases if case.operation == "geometric"))
+
+
+def test_a_field_that_leaves_its_bounds_costs_the_mesh_nothing(small_run, small_cases, monkeypatch):
+    """Its surface cannot be extracted any more, which is known only after the edit."""
+
+    def outside(*_):
+        raise implicit.SurfaceError("The surface leaves the bounds.")
+
+    monkeypatch.setattr("compare.runs.run.measure_field", outside)
+    case = next(case for case in small_cases if case.operation == "geometric")
+    record = run_case(case)
+    assert record.failed
+    assert "leaves the bounds" in record.sides["implicit"].status
+    assert record.sides["mesh"].volume_drift == by_operation(small_run, "geometric").sides["mesh"].volume_drift
+
+
+def test_what_an_edit_notes_reaches_the_record(small_cases, monkeypatch):
+    from dataclasses import replace
+
+    from compare.runs import operations
+
+    edit = operations._edit_field
+    monkeypatch.setattr(
+        operations, "_edit_field", lambda *given: replace(edit(*given), notes=["Three handles were closed."])
+    )
+    record = run_case(next(case for case in small_cases if case.operation == "geometric"))
+    assert "bulb, geometric, neural: Three handles were closed." in record.notes

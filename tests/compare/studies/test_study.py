@@ -10,10 +10,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import implicit
 import implicit.shapes
+import meshref
 from compare import Case, Record, find_study, run_study
 from compare.cases.labels import labels
 from compare.cases.settings import setting_of
@@ -108,6 +110,16 @@ resolution = [16, 32]
         assert len({json.dumps(case.to_dict()["handles"]) for case in of}) == 1
         assert all(option.items() <= case.parameters["implicit"].items() for case in of)
     assert not any("parts" in case.parameters["implicit"] for case in cases if case.operation == "rigid")
+
+
+def test_a_study_says_which_body_of_a_mesh_it_is_about(tmp_path):
+    V, F = meshref.icosphere(2)
+    meshref.write_mesh(tmp_path / "two.off", np.concatenate([V, V / 2 + 5]), np.concatenate([F, F + len(V)]))
+    text = 'shapes = ["two.off"]\noperations = ["rigid"]\n[settings]\n{}\n[grid]\nvertices = [200]\n'
+    with pytest.raises(InputError, match=r"--bodies largest \(in a case, bodies of its fit"):
+        plan(find_study(write(tmp_path, text.format(""))), tmp_path)
+    (case,) = plan(find_study(write(tmp_path, text.format('fit.bodies = "largest"'))), tmp_path)
+    assert case.parameters["fit"]["bodies"] == "largest"
 
 
 def test_a_study_of_networks_fits_them_to_the_surface_of_a_bundled_shape(tmp_path):
