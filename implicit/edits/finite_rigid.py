@@ -135,7 +135,7 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
     """
     began = time.perf_counter()
     tell = _Teller(problem.progress)
-    start = problem.start or Deformation.none(RestShape.of(problem.precise, problem.vertices))
+    start = problem.start or Deformation.none(problem.precise, RestShape.of(problem.precise, problem.vertices))
     minimum = _points(problem, start, tell)
     surface_map = start.map_to(minimum)
     own = [_minimum_note(minimum)] if minimum.status is not MinimumStatus.CONVERGED else []
@@ -147,7 +147,7 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
             own.append("The surface would leave the bounds of the field. Widen the bounds, or move the handles less.")
         edit = replace(_untouched(problem, ended, began), notes=(*notes, *own))
         return with_evidence(edit, problem.field, before, problem.resolution)
-    edited, following = _followed(problem, surface_map, before.topology, tell)
+    edited, following = _followed(problem, start, minimum, before.topology, tell)
     own += _following_notes(problem.field, following)
     row = _row(problem, edited, surface_map, minimum, following, seconds_points)
     end = _polished(problem, edited, surface_map, start.rest.laplacian, before.topology, row)
@@ -158,7 +158,7 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
         edit,
         status=edit_status(end.status, reached=reached),
         notes=(*notes, *own),
-        deformation=Deformation(start.rest, minimum.positions),
+        deformation=Deformation(start.field, start.rest, minimum.positions),
     )
     return with_evidence(edit, problem.field, before, problem.resolution)
 
@@ -243,14 +243,17 @@ def _stays_inside(field: Field, positions: FloatArray) -> bool:
 
 
 def _followed(
-    problem: FiniteProblem, surface_map: SurfaceMap, rest: Topology, tell: _Teller
+    problem: FiniteProblem, start: Deformation, minimum: Minimum, rest: Topology, tell: _Teller
 ) -> tuple[Field, Following]:
-    """Return the field in float64 on the moved surface, trained until it is there in as many pieces as before."""
+    """Return the field in float64 on the moved surface, trained until it is there in as many pieces as before.
+
+    It learns what the field at rest is carried to, so that of many edits none adds its own misses to the next.
+    """
     follower = Follower(
-        problem.precise.to(torch.float32),
-        surface_map,
+        start.field.to(torch.float32),
+        start.map_from_rest(minimum),
         values="auto",
-        start=_start(problem, surface_map).to(torch.float32),
+        start=_start(problem, start.map_to(minimum)).to(torch.float32),
         samples=SAMPLES,
         batch=BATCH,
         seed=problem.seed,

@@ -72,17 +72,19 @@ class Deformation:
     """A shape and where it has been taken: what a further edit goes on from, against the same rest shape.
 
     Attributes:
+        field: The field of the shape at rest: what followers carry along, so that nothing adds up.
         rest: The shape before.
         positions: Of all vertices of its energy (V, 3).
     """
 
+    field: Field
     rest: RestShape
     positions: FloatArray
 
     @classmethod
-    def none(cls, rest: RestShape) -> Deformation:
+    def none(cls, field: Field, rest: RestShape) -> Deformation:
         """Return that of a shape as it is."""
-        return cls(rest, rest.energy.vertices)
+        return cls(field, rest, rest.energy.vertices)
 
     @cached_property
     def surface(self) -> WeakSurface:
@@ -95,6 +97,12 @@ class Deformation:
 
     def map_to(self, minimum: Minimum) -> SurfaceMap:
         """Return the map of the surface as deformed now to another deformation of the same shape."""
-        B, D = self.surface.vertices.shape
-        turns = minimum.rotations @ self._rotations.transpose(0, 2, 1)
-        return SurfaceMap(self.surface, self.rest.of_surface(minimum.positions), turns[:B, :D, :D])
+        return self._map(self.surface, minimum.positions, minimum.rotations @ self._rotations.transpose(0, 2, 1))
+
+    def map_from_rest(self, minimum: Minimum) -> SurfaceMap:
+        """Return the map of the surface at rest to a deformation of it."""
+        return self._map(self.rest.surface, minimum.positions, minimum.rotations)
+
+    def _map(self, start: WeakSurface, positions: FloatArray, rotations: FloatArray) -> SurfaceMap:
+        B, D = start.vertices.shape
+        return SurfaceMap(start, self.rest.of_surface(positions), rotations[:B, :D, :D])
