@@ -7,10 +7,12 @@ import pytest
 import torch
 
 from implicit import (
+    Area,
     HalfSpace,
     Handle,
     RigidMotion,
     Volume,
+    VolumeIntegral,
     extract_mesh,
     fit_field,
     integrate,
@@ -91,6 +93,15 @@ def test_tracked_points_lie_on_the_edited_curve(bent):
     _, edit = bent
     values = edit.field.value(edit.tracked.to(edit.field.theta))
     assert float(values.abs().median()) < 1e-4
+
+
+@pytest.mark.parametrize("held", [Area(), VolumeIntegral(lambda points: points[:, 0] ** 2)], ids=["length", "moment"])
+def test_any_functional_is_held(bar, held):
+    handles = [Handle(LEFT, (0.0, 0.0)), Handle(RIGHT, RigidMotion(rotation=0.5, center=(0.1, 0.0)))]
+    edit = rigid_edit(bar, handles, constraints=[held], points=300, resolution=32)
+    assert edit.status is EditStatus.DONE
+    before, after = (integrate(field, held, 64).value for field in (bar, edit.field))
+    assert after == pytest.approx(before, rel=2e-5)
 
 
 def test_handles_that_turn_together_turn_the_field(bar):
