@@ -8,11 +8,11 @@ Conventions: faces wind so that their normals point out of f < 0; segments have 
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Int8
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -71,6 +71,29 @@ def placed_vertices(
     field: Field, resolution: int, memory_limit: float = MEMORY_LIMIT
 ) -> tuple[Placement, Int[Tensor, "m d"]]:
     """Return the vertices of marched_surface with the gradients there, and its faces."""
+    found = placed_on_grid(field, resolution, memory_limit)
+    return found.placement, found.faces
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedOnGrid:
+    """A marched mesh with its vertices on the surface, and the signs that it was told from.
+
+    Attributes:
+        placement: The vertices.
+        faces: Triangles or segments that join them.
+        grid: The grid that was marched over.
+        signs: At each of its nodes the sign of f, zero where the surface is far.
+    """
+
+    placement: Placement
+    faces: Int[Tensor, "m d"]
+    grid: Grid
+    signs: Int8[Tensor, "*nodes"]
+
+
+def placed_on_grid(field: Field, resolution: int, memory_limit: float = MEMORY_LIMIT) -> PlacedOnGrid:
+    """Return the vertices and faces of placed_vertices with the grid that they were told from."""
     require_field(field)
     require_resolution("resolution", resolution)
     require_positive("memory_limit", memory_limit if memory_limit != float("inf") else 1.0, "number of bytes")
@@ -93,4 +116,4 @@ def placed_vertices(
             )
         kept = torch.where((found.arrived | found.jumps)[:, None], found.points, start.points)
         found = replace(found, points=kept)
-    return found, start.faces
+    return PlacedOnGrid(found, start.faces, grid, start.signs)
