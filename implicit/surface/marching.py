@@ -79,6 +79,7 @@ class Crossings:
         points: About where, by linear interpolation, (N, D).
         lower: The end of the edge with the smaller coordinate; the point itself for the few inside a cell, (N, D).
         upper: Its other end.
+        outward: Unit vector along the edge from its end with f < 0 to the other; zero of the few inside a cell (N, D).
         faces: Triangles (M, 3) or segments (M, 2) that join the points.
         signs: At each node of the grid the sign of f, zero where the surface is far; its size says no more.
     """
@@ -86,6 +87,7 @@ class Crossings:
     points: Float[Tensor, "n d"]
     lower: Float[Tensor, "n d"]
     upper: Float[Tensor, "n d"]
+    outward: Float[Tensor, "n d"]
     faces: Int[Tensor, "m d"]
     signs: Int8[Tensor, "*nodes"]
 
@@ -103,7 +105,9 @@ def march(field: Field, grid: Grid) -> Crossings:
     inside = along.sum(axis=1, keepdims=True) > 1
     ends = (np.where(inside, index, end) for end in (corner, corner + along))
     place, lower, upper = (grid.lower + torch.from_numpy(x).to(grid.lower) * grid.cell for x in (index, *ends))
-    return Crossings(place, lower, upper, torch.from_numpy(faces).to(field.device), signs)
+    sides = signs[tuple(torch.from_numpy(corner.T).to(signs.device))].sign().to(grid.lower)
+    outward = torch.from_numpy(along & ~inside).to(grid.lower) * -sides[:, None]
+    return Crossings(place, lower, upper, outward, torch.from_numpy(faces).to(field.device), signs)
 
 
 # In space: chunk by chunk
