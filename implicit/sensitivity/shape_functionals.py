@@ -264,7 +264,7 @@ COARSER = (2 / 3, 1 / 2)
 LEAST_ORDER = 3
 
 # What the estimate allows for beyond the sum of its parts.
-MARGIN = 1.5
+MARGIN = 2.0
 
 
 def integrate(
