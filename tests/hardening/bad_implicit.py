@@ -516,7 +516,7 @@ def _of_edits() -> Iterator[BadCase]:
     yield from refusals("Holding", "enforce", choices(), implicit.Holding)
     for name in ("tolerance", "penalty"):
         yield from refusals("Holding", name, positives(), lambda x, name=name: implicit.Holding(**{name: x}))
-    for name in ("resolution", "fine_resolution"):
+    for name in ("resolution", "fine_resolution", "finest_resolution"):
         yield from refusals("Holding", name, counts(4), lambda x, name=name: implicit.Holding(**{name: x}))
     yield from refusals(
         "semantic_edit",
