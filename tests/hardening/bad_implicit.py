@@ -612,6 +612,12 @@ def _of_samples() -> Iterator[BadCase]:
         lambda: implicit.sample_surface(BALL, 5, "farthest", density=lambda x: x[:, 0]),
         ("density", "method"),
     )
+    yield from refusals(
+        "integrate", "tolerance", positives(), lambda x: implicit.integrate(BALL, implicit.Volume(), 8, tolerance=x)
+    )
+    yield from refusals(
+        "integrate", "finest", counts(4), lambda x: implicit.integrate(BALL, implicit.Volume(), 8, finest=x)
+    )
     takers: dict[str, Call] = {
         "extract_mesh": lambda x: implicit.extract_mesh(BALL, x),
         "surface_quadrature": lambda x: implicit.surface_quadrature(BALL, x),
