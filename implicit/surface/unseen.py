@@ -27,6 +27,9 @@ MISSED = 0.5
 STREWN = 4
 MOST_CELLS = 3000
 
+# Cells looked at in one go: of a field that is saturated all cells of the grid have a sign.
+AT_ONCE = 200_000
+
 # What is too thin for the points to hit fills less than this share of its cell.
 LEAST_SHARE = 1 / 16
 
@@ -87,12 +90,15 @@ def _entered(field: Field, meshed: MeshedSample) -> tuple[Int[Tensor, "n d"], Fl
     total = torch.zeros([n - 1 for n in signs.shape], dtype=torch.int8, device=signs.device)
     for corner in product((0, 1), repeat=dimension):
         total += signs[tuple(slice(c, c + n) for c, n in zip(corner, total.shape))]
-    index = (total.abs() == 2**dimension).nonzero()
-    middles = (grid.lower + grid.cell * (index.to(grid.lower) + 0.5)).to(field.dtype)
-    f, g = field.value_and_gradient(middles)
-    step = -(f / (g * g).sum(dim=1).clamp(min=torch.finfo(f.dtype).tiny))[:, None] * g
-    enters = (step.abs() <= grid.cell / 2).all(dim=1)
-    return index[enters], (middles + step)[enters]
+    found = []
+    for index in (total.abs() == 2**dimension).nonzero().split(AT_ONCE):
+        middles = (grid.lower + grid.cell * (index.to(grid.lower) + 0.5)).to(field.dtype)
+        f, g = field.value_and_gradient(middles)
+        square = (g * g).sum(dim=1)
+        step = -(f / square.clamp(min=torch.finfo(f.dtype).tiny))[:, None] * g
+        enters = (step.abs() <= grid.cell / 2).all(dim=1) & (square > 0)  # saturated, f leads nowhere
+        found.append((index[enters], (middles + step)[enters]))
+    return torch.cat([index for index, _ in found]), torch.cat([points for _, points in found])
 
 
 def _strewn(field: Field, meshed: MeshedSample, index: Int[Tensor, "n d"]) -> tuple[Tensor, Tensor]:
