@@ -157,7 +157,7 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
     edit = replace(
         edit,
         status=edit_status(end.status, reached=reached),
-        notes=(*notes, *own),
+        notes=(*notes, *own, *end.notes),
         deformation=Deformation(start.field, start.rest, minimum.positions),
     )
     return with_evidence(edit, problem.field, before, problem.resolution)
@@ -291,11 +291,12 @@ def _start(problem: FiniteProblem, surface_map: SurfaceMap) -> Field:
 
 @dataclass(frozen=True, eq=False)
 class _End:
-    """A field at the end of an edit, with its rows and how the last steps ended."""
+    """A field at the end of an edit, with its rows, how the last steps ended, and what is not known of what is held."""
 
     field: Field
     history: list[Row]
     status: EditStatus
+    notes: tuple[str, ...]
 
 
 def _polished(
@@ -315,7 +316,7 @@ def _polished(
     left = operation.left(field)
     state = loop.start(field, SurfaceSample(left.points, left.normals, masses), None)
     rows: list[Row] = []
-    status = EditStatus.DONE
+    status, notes = EditStatus.DONE, tuple[str, ...]()
     sound = _has_type(field, rest, problem.resolution)
     for number in range(LAST_STEPS):
         needed = bool(problem.constraints) and not rows
@@ -342,7 +343,8 @@ def _polished(
     if rows and problem.constraints:
         state, rows[-1] = loop.polished(state, rows[-1])
         row = {**row, **held.values(held.measure(field))}
-    return _End(state.field, [row, *rows], status)
+        notes = tuple(held.unresolved(rows[-1]["constraint_error"]))
+    return _End(state.field, [row, *rows], status, notes)
 
 
 def _edit(problem: FiniteProblem, surface_map: SurfaceMap, end: _End, began: float) -> Edit:

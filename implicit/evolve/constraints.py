@@ -1,7 +1,9 @@
 """Functionals that an edit holds: measured on the surface, their rows in each step, and their restoration.
 
 A hard row keeps a functional to first order in the step; Newton's method on the re-measured value then restores it.
-The targets are measured at the start on a fine quadrature, and so is the end; in between a coarser one serves.
+The targets are measured at the start on a fine quadrature, and so is the end; in between a coarser one serves. The
+error of each is estimated, and the fine ones are refined where it is more than the tolerance, up to a limit: a value is
+held no better than it is known.
 """
 
 from __future__ import annotations
@@ -15,9 +17,18 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.arguments import require_choice, require_positive
-from implicit.field.field import Field
+from implicit.field.field import Field, SurfaceError
 from implicit.sensitivity.boundary_sensitivity import adjoint
-from implicit.sensitivity.shape_functionals import Area, Functional, Volume, require_functional
+from implicit.sensitivity.shape_functionals import (
+    Area,
+    Functional,
+    Integral,
+    Values,
+    Volume,
+    next_finer,
+    require_functional,
+    with_errors,
+)
 from implicit.step.deformation import DeformationSpace
 from implicit.step.least_squares import LeastSquares, Rows, Solution
 from implicit.surface.extraction import require_resolution
@@ -29,6 +40,10 @@ Enforce = Literal["rows", "projection", "penalty"]
 # Points for the sensitivities: they only steer, so a thousandth of error costs at most one more correction.
 STEERING_POINTS = 4000
 CORRECTIONS = 8
+
+# Estimated relative error of the fine quadrature that is come to where no tolerance is given. The true error of volumes
+# is a twentieth of the estimate in the median; half of this would refine shapes that 96 cells resolve.
+RESOLVED = 2e-6
 
 SIGNS = {"equal": 0, "at least": 1, "at most": -1}
 
@@ -48,9 +63,12 @@ class Holding:
         enforce: "rows" holds by hard rows and Newton's method; "projection" takes what would change them out of the
             finished step, as the paper does; "penalty" charges their relative gaps, squared.
         tolerance: Of "rows": relative gap that is left after each step; None is 1e-8 in float64, 1e-5 in float32. The
-            end is brought as near as the precision allows.
+            end is brought as near as the precision allows. The fine quadrature is refined until its estimated error
+            is below it too, or below 2e-6 for None, or up to `finest_resolution`; what is then left is in the column
+            `constraint_error` of the records, and where it is too much in the notes of the edit.
         resolution: Cells along the longest side of the bounds of the quadrature in each step.
         fine_resolution: The same at the start and at the end, where it decides how well the values agree.
+        finest_resolution: The most that these are refined to; None is twice fine_resolution.
         penalty: Of "penalty": the price of a squared relative gap of 1, in units of size^(D + 1).
     """
 
@@ -59,6 +77,7 @@ class Holding:
     resolution: int = 48
     fine_resolution: int = 96
     penalty: float = 1.0
+    finest_resolution: int | None = None
 
     def __post_init__(self) -> None:
         require_choice("enforce", self.enforce, get_args(Enforce))
@@ -67,6 +86,23 @@ class Holding:
         require_positive("penalty", self.penalty)
         require_resolution("resolution", self.resolution)
         require_resolution("fine_resolution", self.fine_resolution)
+        if self.finest_resolution is not None:
+            require_resolution("finest_resolution", self.finest_resolution)
+
+    @property
+    def fine(self) -> int:
+        """Cells along the longest side of the bounds at the start and at the end, before any refinement."""
+        return max(self.fine_resolution, self.resolution)
+
+    @property
+    def finest(self) -> int:
+        """The most cells along the longest side of the bounds."""
+        return 2 * self.fine if self.finest_resolution is None else max(self.finest_resolution, self.fine)
+
+    @property
+    def resolved(self) -> float:
+        """Relative error that the fine quadrature is to come to."""
+        return RESOLVED if self.tolerance is None else self.tolerance
 
 
 def checked_constraints(constraints: Sequence[Functional]) -> tuple[Functional, ...]:
@@ -229,6 +265,9 @@ class ConstraintSet:
         scales: What the gap of each is relative to: its target, or where that is zero the area of the surface.
         tolerance: Relative gap that is left after each step.
         enforcement: How a step's least squares meet them.
+        fine: Cells along the longest side of the bounds on which the targets were measured.
+        errors: Estimated error of each target over its scale; 0 of one that the caller gave.
+        errors_of_steps: The same of each value as the steps measure it.
     """
 
     functionals: tuple[Functional, ...]
@@ -238,6 +277,9 @@ class ConstraintSet:
     scales: tuple[float, ...]
     tolerance: float
     enforcement: Enforcement
+    fine: int
+    errors: tuple[float, ...] = ()
+    errors_of_steps: tuple[float, ...] = ()
 
     @classmethod
     def of(
@@ -264,25 +306,53 @@ class ConstraintSet:
         }
         # Where nothing is held, nothing is restored either.
         enforcement = enforcements[holding.enforce] if functionals else Penalty(price)
-        free = cls(functionals, holding, names, (), (), holding.tolerance or default, enforcement)
+        free = cls(functionals, holding, names, (), (), holding.tolerance or default, enforcement, holding.fine)
         if not functionals:
             return free
-        measured = free.measure(field, fine=True)
-        targets = [v if c.target is None else c.target for c, v in zip(functionals, measured.values, strict=True)]
-        area = float(measured.sample.weights.sum())
-        return replace(free, targets=tuple(targets), scales=tuple(abs(t) if t != 0 else area for t in targets))
+        start = free._resolved(field)
+        area = float(start.measured.sample.weights.sum())
+        targets = [v if c.target is None else c.target for c, v in zip(functionals, start.measured.values, strict=True)]
+        scales = [abs(t) if t != 0 else area for t in targets]
+        errors = [found.error / s for found, s in zip(start.integrals, scales, strict=True)]
+        stepped = start.known.get(holding.resolution) or free.measure(field).values
+        off = [abs(a - b) / s for a, b, s in zip(stepped, start.measured.values, scales, strict=True)]
+        return replace(
+            free,
+            targets=tuple(targets),
+            scales=tuple(scales),
+            fine=start.cells,
+            errors=tuple(e if c.target is None else 0.0 for c, e in zip(functionals, errors, strict=True)),
+            errors_of_steps=tuple(e + o for e, o in zip(errors, off, strict=True)),
+        )
 
-    def measure(self, field: Field, *, fine: bool = False) -> Measurement:
+    def _resolved(self, field: Field) -> _Start:
+        """Return the functionals on the first fine quadrature whose estimated errors are within the tolerance."""
+        cells, known = self.fine, {}
+        measured = self.measure(field, cells=cells)
+        while True:
+            known[cells] = measured.values
+            integrals = with_errors(field, self.functionals, measured.surface, cells, known)
+            start = _Start(cells, measured, integrals, known)
+            finer = next_finer(cells, self.holding.finest)
+            within = all(found.error <= self.holding.resolved * abs(found.value) for found in integrals)
+            if within or finer == cells:
+                return start
+            cells = finer
+            try:
+                measured = self.measure(field, cells=cells)
+            except SurfaceError:  # such cells may show that the surface leaves the bounds: the estimate tells enough
+                return start
+
+    def measure(self, field: Field, *, cells: int | None = None) -> Measurement:
         """Return the surface of a field with the values on it.
 
         Args:
-            fine: Whether on the fine quadrature, as at the start and at the end.
+            cells: Along the longest side of the bounds; None is as in each step.
 
         Raises:
             ValueError: It has none any more, or its gradient vanishes there.
         """
-        resolution = max(self.holding.fine_resolution, self.holding.resolution) if fine else self.holding.resolution
-        surface = meshed_quadrature(field, resolution)
+        surface = meshed_quadrature(field, self.holding.resolution if cells is None else cells)
         return Measurement(surface, tuple(c.value(field, surface.sample) for c in self.functionals))
 
     def values(self, measured: Measurement | None) -> dict[str, float]:
@@ -294,6 +364,32 @@ class ConstraintSet:
         if measured is None:
             return 0.0
         return max((abs(g) / s for g, s in zip(self._gaps(measured), self.scales, strict=True)), default=0.0)
+
+    def error(self, at_end: Sequence[Integral] | None = None) -> float:
+        """Return the largest relative error with which a value is known to be at its target; 0 where nothing is held.
+
+        Args:
+            at_end: The functionals on the fine quadrature of an edit's end; None is for a value measured in a step.
+        """
+        if at_end is None:
+            ends: Sequence[float] = self.errors_of_steps
+        else:
+            ends = [found.error / s for found, s in zip(at_end, self.scales, strict=True)]
+        return max((a + b for a, b in zip(self.errors, ends, strict=True)), default=0.0)
+
+    def unresolved(self, error: float) -> list[str]:
+        """Return what to say of values that are known less well than they are to be held; nothing where they are.
+
+        Args:
+            error: The largest relative error with which a value is known to be at its target.
+        """
+        if not self.functionals or not self.enforcement.restores or error <= 2 * self.holding.resolved:
+            return []
+        return [
+            f"What is held is known to {error:.2g} of its value only, not to {2 * self.holding.resolved:.2g}: on up to "
+            f"{self.holding.finest} cells along the longest side the quadrature does not resolve the surface. Raise "
+            "fine_resolution and finest_resolution of Holding, or thicken what is thin."
+        ]
 
     def linearised(
         self, field: Field, space: DeformationSpace, measured: Measurement | None
@@ -340,7 +436,7 @@ class ConstraintSet:
         correction: Correction,
         *,
         measured: Measurement | None = None,
-        fine: bool = False,
+        cells: int | None = None,
     ) -> tuple[Float[Tensor, " n"], Measurement]:
         """Return the step x with corrections by Newton's method, and the surface after it.
 
@@ -349,19 +445,20 @@ class ConstraintSet:
             x: The step's unknowns.
             correction: From C and r to the change of x with C change = r that disturbs the step least.
             measured: The surface after the step x, where it is known.
-            fine: Whether to measure on the fine quadrature and come as near as the precision allows, as at the end.
+            cells: Of a fine quadrature to measure on, to come as near as the precision allows, as at the end; None is
+                as in each step.
 
         Raises:
             NotHeldError: The values do not come within a thousand tolerances of their targets.
             ValueError: The surface is lost.
         """
-        tolerance = min(self.tolerance, 1e-8) if fine else self.tolerance
+        tolerance = self.tolerance if cells is None else min(self.tolerance, 1e-8)
         C: Tensor | None = None
         last = best_gap = float("inf")
         best: tuple[Tensor, Measurement] | None = None
         for _ in range(CORRECTIONS):
             moved = field.with_theta(field.theta + space.split(x)[0])
-            measured = self.measure(moved, fine=fine) if measured is None else measured
+            measured = self.measure(moved, cells=cells) if measured is None else measured
             gap = self.violation(measured)
             if gap < best_gap:
                 best, best_gap = (x, measured), gap
@@ -378,6 +475,42 @@ class ConstraintSet:
         if best is None or best_gap > max(1e3 * self.tolerance, 1e-4):
             raise NotHeldError(f"A constraint is {best_gap:.2g} from its target.")
         return best
+
+    def restore_at_end(
+        self, field: Field, space: DeformationSpace, correction: Correction
+    ) -> tuple[Float[Tensor, " n"], Measurement, float]:
+        """Return the correction that restores the values at the end of an edit, the surface, and the error left.
+
+        The quadrature is the one of the start, refined where its estimated error is above the tolerance.
+
+        Raises:
+            NotHeldError: The values do not come within a thousand tolerances of their targets.
+            ValueError: The surface is lost.
+        """
+        cells = self.fine
+        x, measured = self.restore(field, field.theta.new_zeros(space.size), space, correction, cells=cells)
+        while True:
+            moved = field.with_theta(field.theta + space.split(x)[0])
+            integrals = with_errors(moved, self.functionals, measured.surface, cells, {cells: measured.values})
+            finer = next_finer(cells, self.holding.finest)
+            within = all(f.error <= self.holding.resolved * s for f, s in zip(integrals, self.scales, strict=True))
+            if within or finer == cells:
+                return x, measured, self.error(integrals)
+            cells = finer
+            try:
+                x, measured = self.restore(field, x, space, correction, cells=cells)
+            except (NotHeldError, SurfaceError):
+                return x, measured, self.error(integrals)
+
+
+@dataclass(frozen=True, eq=False)
+class _Start:
+    """The functionals at the start of an edit: on the fine quadrature with their errors, and on all others by cells."""
+
+    cells: int
+    measured: Measurement
+    integrals: tuple[Integral, ...]
+    known: dict[int, Values]
 
 
 def _names(functionals: Sequence[Functional], columns: Sequence[str]) -> tuple[str, ...]:

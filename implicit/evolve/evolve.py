@@ -123,7 +123,8 @@ def evolve(
         seconds=time.perf_counter() - began,
         asked=asked,
     )
-    return replace(edit, status=edit_status(ended, reached=reached_target(edit)))
+    notes = held.unresolved(history[-1]["constraint_error"]) if history else []
+    return replace(edit, status=edit_status(ended, reached=reached_target(edit)), notes=tuple(notes))
 
 
 def first_solve(
@@ -275,6 +276,7 @@ class Loop(Generic[Memory]):
             StepRecord.of(
                 trial,
                 constraint_gap=self.constraints.violation(moved.measured),
+                constraint_error=self.constraints.error(),
                 largest_motion=float(predicted.norm(dim=1).max()),
                 d_theta_norm=float((edited.theta - field.theta).norm()),
                 points_lost=int((~projection.arrived).sum()),
@@ -348,13 +350,13 @@ class Loop(Generic[Memory]):
             return state, row
         (correction, space), field = state.correction, state.field
         try:
-            zero = field.theta.new_zeros(space.size)
-            x, measured = self.constraints.restore(field, zero, space, correction, fine=True)
+            x, measured, error = self.constraints.restore_at_end(field, space, correction)
             moved = field.with_theta(field.theta + space.split(x)[0])
             points, arrived = newton_to_surface(moved, state.tracked, reach=field.size / 100)
         except ValueError:
             return state, row
-        row = {**row, **self.constraints.values(measured), "constraint_gap": self.constraints.violation(measured)}
+        gap = self.constraints.violation(measured)
+        row = {**row, **self.constraints.values(measured), "constraint_gap": gap, "constraint_error": error}
         tracked = torch.where(arrived[:, None], points, state.tracked)
         return replace(state, field=moved, tracked=tracked, measured=measured), row
 

@@ -14,7 +14,8 @@ class StepRecord:
     """The loop's record of a step.
 
     Attributes:
-        constraint_gap: Largest relative distance of a functional from its target or bound.
+        constraint_gap: Largest relative distance of a functional from its target or bound, as measured.
+        constraint_error: Estimate of the largest relative error of these measurements, at the start and now together.
         residual, objective, condition, rank, damping, method: Of the solution, see Solution.
         largest_motion: Longest predicted motion of a tracked point, a length.
         linearity_error: Root mean square of achieved minus predicted motion over that of the predicted one.
@@ -26,6 +27,7 @@ class StepRecord:
     """
 
     constraint_gap: float
+    constraint_error: float
     residual: float
     objective: float
     condition: float
@@ -46,6 +48,7 @@ class StepRecord:
         trial: Trial,
         *,
         constraint_gap: float,
+        constraint_error: float,
         largest_motion: float,
         d_theta_norm: float,
         points_lost: int,
@@ -55,6 +58,7 @@ class StepRecord:
         solution = trial.solution
         return cls(
             constraint_gap=constraint_gap,
+            constraint_error=constraint_error,
             residual=solution.residual,
             objective=solution.objective,
             condition=solution.condition,

@@ -13,12 +13,15 @@ evaluation of the field at the points takes that out: with c the cosine between 
     H = H_cells + int_cells h c delta dA          G = int_cells g(x + delta n) c (1 + kappa delta) dA
 
 which leaves 3e-8 of the volume of the bundled cow at 64 cells, where the cells alone leave 1.3e-5.
+
+The error of a value is estimated from the values on two coarser grids, and from what none of them can show: parts of
+the surface that pass between the nodes of the grid (implicit.surface.unseen).
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field as default
 from typing import Literal, get_args
 
@@ -27,16 +30,24 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from implicit.arguments import require_callable, require_choice, require_finite, require_whole
-from implicit.field.field import Field
+from implicit.arguments import require_callable, require_choice, require_finite, require_positive, require_whole
+from implicit.field.field import Field, SurfaceError
 from implicit.sensitivity.boundary_sensitivity import adjoint
 from implicit.sensitivity.pointwise_curvature import normal_turning
 from implicit.sensitivity.weak_curvature import surface_mean_curvature
 from implicit.surface.extraction import require_resolution
-from implicit.surface.quadrature import SurfaceSample, require_sample, surface_quadrature
+from implicit.surface.quadrature import (
+    MeshedSample,
+    SurfaceSample,
+    meshed_quadrature,
+    require_sample,
+    surface_quadrature,
+)
+from implicit.surface.unseen import Unseen, unseen_parts
 
 Density = Callable[[Tensor], Tensor]
 Bound = Literal["equal", "at least", "at most"]
+Values = tuple[float, ...]
 
 
 class Functional(ABC):
@@ -79,6 +90,18 @@ class Functional(ABC):
     def shape_gradient(self, field: Field, sample: SurfaceSample) -> Float[Tensor, " n"]:
         """Return its change per unit of outward motion and of area, at each point."""
 
+    def unseen(self, value: float, sample: SurfaceSample, parts: Unseen) -> float:
+        """Return about how much of the functional is in parts of the surface that the sample has not.
+
+        Args:
+            value: The functional on the sample.
+            sample: Of the surface that was meshed.
+            parts: What was not, measured roughly.
+        """
+        area, volume = float(sample.weights.sum()), float(volume_terms(sample).sum())
+        share = max(float(parts.areas.sum()) / area, float(parts.volumes.sum()) / abs(volume))
+        return share * abs(value)
+
     def sensitivity(self, field: Field, sample: SurfaceSample) -> Float[Tensor, " p"]:
         """Return its derivative by each parameter, (P,): B^T times the weighted shape gradient."""
         require_sample(field, sample)
@@ -103,6 +126,9 @@ class Volume(Functional):
     def shape_gradient(self, field: Field, sample: SurfaceSample) -> Tensor:
         return torch.ones_like(sample.weights)
 
+    def unseen(self, value: float, sample: SurfaceSample, parts: Unseen) -> float:
+        return float(parts.volumes.sum())
+
 
 @dataclass(frozen=True, repr=False)
 class Area(Functional):
@@ -121,6 +147,9 @@ class Area(Functional):
 
     def shape_gradient(self, field: Field, sample: SurfaceSample) -> Tensor:
         return surface_mean_curvature(field, sample.points)
+
+    def unseen(self, value: float, sample: SurfaceSample, parts: Unseen) -> float:
+        return float(parts.areas.sum())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -163,6 +192,9 @@ class VolumeIntegral(Functional):
     def shape_gradient(self, field: Field, sample: SurfaceSample) -> Tensor:
         return _density(self.h, sample.points, "h")
 
+    def unseen(self, value: float, sample: SurfaceSample, parts: Unseen) -> float:
+        return float(parts.volumes @ _density(self.h, parts.points, "h").abs())
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SurfaceIntegral(Functional):
@@ -196,18 +228,25 @@ class SurfaceIntegral(Functional):
             slope = torch.autograd.grad(values.sum(), x)[0] if values.requires_grad else torch.zeros_like(x)
         return (slope * sample.normals).sum(dim=1) + surface_mean_curvature(field, sample.points) * values.detach()
 
+    def unseen(self, value: float, sample: SurfaceSample, parts: Unseen) -> float:
+        return float(parts.areas @ _density(self.g, parts.points, "g").detach().abs())
+
 
 @dataclass(frozen=True)
 class Integral:
-    """A functional's value, and an estimate of its error from half the resolution.
+    """A functional's value, and an estimate of its error.
 
     Attributes:
         value: The value.
-        error: Bound on its error once the cells resolve the shape, in the same unit.
+        error: Estimate of its error, in the same unit: above the error on 95 of 100 random unions of bodies.
+        resolution: Cells along the longest side of the bounds on which it was measured.
+        unseen: The part of the error that stands for pieces of the surface between the nodes of the grid.
     """
 
     value: float
     error: float
+    resolution: int | None = None
+    unseen: float = 0.0
 
 
 def require_functional(name: str, value: object) -> None:
@@ -216,16 +255,39 @@ def require_functional(name: str, value: object) -> None:
         raise TypeError(f"{name} must be a functional such as Volume() or Area(), but is {value!r}.")
 
 
-def integrate(field: Field, functional: Functional, resolution: int = 64) -> Integral:
-    """Return the functional of the field's surface at a resolution, with an error estimate.
+# The coarser grids that a value is compared with, in cells of its own; with one alone, two errors agree by chance in a
+# fifth of all shapes.
+COARSER = (2 / 3, 1 / 2)
 
-    The quadrature's error falls with at least the third power of the cell, so the value at half the resolution is off
-    by eight times as much or more: a seventh of the difference bounds the error once the cells resolve the shape.
+# An error on so many times as large cells is larger by this power of it, or more: the quadrature is of the fourth order
+# where the cells follow the surface, but of none in the few that do not.
+LEAST_ORDER = 3
+
+# What the estimate allows for beyond the sum of its parts.
+MARGIN = 2.0
+
+
+def integrate(
+    field: Field,
+    functional: Functional,
+    resolution: int = 64,
+    *,
+    tolerance: float | None = None,
+    finest: int = 256,
+) -> Integral:
+    """Return the functional of the field's surface, with an estimate of its error.
+
+    The estimate has two parts. The values on grids of two thirds and a half of the cells are off by more, at least with
+    the third power of the cell; the larger of the errors that this tells is taken. And where the field says that the
+    surface passes between the nodes of the grid (a fin, a gap, a spike) what is missed is measured roughly and added.
 
     Args:
         field: The field.
         functional: Volume(), Area() or another.
         resolution: Cells along the longest side of the bounds.
+        tolerance: Relative error to come to: where the estimate is above it, half as many cells again are taken until
+            it is not, or up to `finest`. None measures once.
+        finest: The most cells along the longest side.
 
     Raises:
         SurfaceError: There is no surface in the bounds, it leaves them, or the gradient vanishes on it.
@@ -233,10 +295,60 @@ def integrate(field: Field, functional: Functional, resolution: int = 64) -> Int
     """
     require_functional("functional", functional)
     require_resolution("resolution", resolution)
-    fine, coarse = (
-        functional.value(field, surface_quadrature(field, cells)) for cells in (resolution, max(4, resolution // 2))
+    require_resolution("finest", finest)
+    if tolerance is not None:
+        require_positive("tolerance", tolerance)
+    known: dict[int, Values] = {}
+    while True:
+        meshed = meshed_quadrature(field, resolution)
+        known[resolution] = (functional.value(field, meshed.sample),)
+        (found,) = with_errors(field, (functional,), meshed, resolution, known)
+        finer = next_finer(resolution, finest)
+        if tolerance is None or found.error <= tolerance * abs(found.value) or finer == resolution:
+            return found
+        resolution = finer
+
+
+def next_finer(resolution: int, finest: int) -> int:
+    """Return half as many cells again, but not more than the finest; the same where there are none finer."""
+    return max(resolution, min(-(-3 * resolution // 2), finest))
+
+
+def with_errors(
+    field: Field, functionals: Sequence[Functional], meshed: MeshedSample, resolution: int, known: dict[int, Values]
+) -> tuple[Integral, ...]:
+    """Return functionals of a field's surface with estimates of their errors, as integrate does.
+
+    Args:
+        field: The field.
+        functionals: What is measured.
+        meshed: Its quadrature at the resolution.
+        resolution: Cells along the longest side of the bounds.
+        known: The values of the functionals on this and maybe other grids, by cells; those that are taken are added.
+    """
+    values = known[resolution]
+    errors = [0.0] * len(values)
+    for share in COARSER:
+        cells = max(4, round(share * resolution))
+        if cells == resolution:
+            continue
+        gain = (resolution / cells) ** LEAST_ORDER - 1
+        try:
+            if cells not in known:
+                sample = surface_quadrature(field, cells)
+                known[cells] = tuple(functional.value(field, sample) for functional in functionals)
+        except SurfaceError:  # such coarse cells may not even have a surface: then nothing bounds the error
+            errors = [max(e, abs(v)) for e, v in zip(errors, values, strict=True)]
+            continue
+        errors = [max(e, abs(v - o) / gain) for e, v, o in zip(errors, values, known[cells], strict=True)]
+    parts = unseen_parts(field, meshed)
+    unseen = [
+        c.unseen(v, meshed.sample, parts) if len(parts) else 0.0 for c, v in zip(functionals, values, strict=True)
+    ]
+    return tuple(
+        Integral(value, MARGIN * (error + missed), resolution, missed)
+        for value, error, missed in zip(values, errors, unseen, strict=True)
     )
-    return Integral(fine, abs(fine - coarse) / 7)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,17 +8,18 @@ Conventions: faces wind so that their normals point out of f < 0; segments have 
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Int8
 from numpy.typing import NDArray
 from torch import Tensor
 
 from implicit.arguments import require_positive, require_whole
 from implicit.field.field import Field, SurfaceError, require_field
-from implicit.surface.marching import MEMORY_LIMIT, Grid, march
+from implicit.surface.bracketing import bracketed_zeros
+from implicit.surface.marching import MEMORY_LIMIT, Crossings, Grid, march
 from implicit.surface.projection import Placement, discontinuous, in_working_precision, place_on_surface
 
 # More cells along a side than any memory holds in three dimensions, or in two.
@@ -71,6 +72,29 @@ def placed_vertices(
     field: Field, resolution: int, memory_limit: float = MEMORY_LIMIT
 ) -> tuple[Placement, Int[Tensor, "m d"]]:
     """Return the vertices of marched_surface with the gradients there, and its faces."""
+    found = placed_on_grid(field, resolution, memory_limit)
+    return found.placement, found.faces
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedOnGrid:
+    """A marched mesh with its vertices on the surface, and the signs that it was told from.
+
+    Attributes:
+        placement: The vertices.
+        faces: Triangles or segments that join them.
+        grid: The grid that was marched over.
+        signs: At each of its nodes the sign of f, zero where the surface is far.
+    """
+
+    placement: Placement
+    faces: Int[Tensor, "m d"]
+    grid: Grid
+    signs: Int8[Tensor, "*nodes"]
+
+
+def placed_on_grid(field: Field, resolution: int, memory_limit: float = MEMORY_LIMIT) -> PlacedOnGrid:
+    """Return the vertices and faces of placed_vertices with the grid that they were told from."""
     require_field(field)
     require_resolution("resolution", resolution)
     require_positive("memory_limit", memory_limit if memory_limit != float("inf") else 1.0, "number of bytes")
@@ -79,6 +103,7 @@ def placed_vertices(
     grid.require_memory(memory_limit)
     start = march(field, grid)
     found = place_on_surface(field, start.points, reach=2 * grid.cell, segments=(start.lower, start.upper))
+    found = _on_their_side(field, start, found)
     if int(found.jumps.sum()) > LOST * len(start.points):
         raise discontinuous(field, found)
     if not bool((found.arrived | found.jumps).all()):
@@ -93,4 +118,27 @@ def placed_vertices(
             )
         kept = torch.where((found.arrived | found.jumps)[:, None], found.points, start.points)
         found = replace(found, points=kept)
-    return found, start.faces
+    return PlacedOnGrid(found, start.faces, grid, start.signs)
+
+
+def _on_their_side(field: Field, start: Crossings, found: Placement) -> Placement:
+    """Return the placement with what strayed to the other side of a thin part brought back to its own edge.
+
+    From the middle of a sheet Newton's method goes to either side, by less than a cell: there f rises against the
+    direction in which it changes its sign along the edge. Both sides placed on one would leave the sheet no volume.
+    """
+    outward = start.outward
+    strayed = found.arrived & ((found.gradients * outward).sum(dim=1) < 0)
+    which = strayed.nonzero()[:, 0]
+    if len(which) == 0:
+        return found
+    lower, upper = start.lower[which], start.upper[which]
+    at_lower, at_upper = field.value(lower), field.value(upper)
+    crossed = (at_lower < 0) != (at_upper < 0)
+    which, lower, upper, at_lower, at_upper = (x[crossed] for x in (which, lower, upper, at_lower, at_upper))
+    tolerance = field.size * (1e-12 if field.dtype == torch.float64 else 1e-6)
+    zeros = bracketed_zeros(field, lower, upper, at_lower, at_upper, tolerance)
+    points, arrived, jumps, gradients = (x.clone() for x in (found.points, found.arrived, found.jumps, found.gradients))
+    points[which], arrived[which], jumps[which] = zeros.points, ~zeros.jumps, zeros.jumps
+    gradients[which] = field.gradient(zeros.points)
+    return Placement(points, arrived, jumps, gradients)

@@ -79,13 +79,17 @@ class Crossings:
         points: About where, by linear interpolation, (N, D).
         lower: The end of the edge with the smaller coordinate; the point itself for the few inside a cell, (N, D).
         upper: Its other end.
+        outward: Unit vector along the edge from its end with f < 0 to the other; zero of the few inside a cell (N, D).
         faces: Triangles (M, 3) or segments (M, 2) that join the points.
+        signs: At each node of the grid the sign of f, zero where the surface is far; its size says no more.
     """
 
     points: Float[Tensor, "n d"]
     lower: Float[Tensor, "n d"]
     upper: Float[Tensor, "n d"]
+    outward: Float[Tensor, "n d"]
     faces: Int[Tensor, "m d"]
+    signs: Int8[Tensor, "*nodes"]
 
 
 def march(field: Field, grid: Grid) -> Crossings:
@@ -96,12 +100,14 @@ def march(field: Field, grid: Grid) -> Crossings:
     """
     # One dtype for all: what is rounded differently for two neighbours could give a node two signs.
     single = field.to(torch.float32)
-    index, faces = (_march_squares if field.dimension == 2 else _march_chunks)(single, grid)
+    index, faces, signs = (_march_squares if field.dimension == 2 else _march_chunks)(single, grid)
     corner, along = _edges(index)
     inside = along.sum(axis=1, keepdims=True) > 1
     ends = (np.where(inside, index, end) for end in (corner, corner + along))
     place, lower, upper = (grid.lower + torch.from_numpy(x).to(grid.lower) * grid.cell for x in (index, *ends))
-    return Crossings(place, lower, upper, torch.from_numpy(faces).to(field.device))
+    sides = signs[tuple(torch.from_numpy(corner.T).to(signs.device))].sign().to(grid.lower)
+    outward = torch.from_numpy(along & ~inside).to(grid.lower) * -sides[:, None]
+    return Crossings(place, lower, upper, outward, torch.from_numpy(faces).to(field.device), signs)
 
 
 # In space: chunk by chunk
@@ -139,11 +145,12 @@ def _spread(blocks: NDArray[np.float32], nodes: tuple[int, ...]) -> NDArray[np.f
     return chunk[: x + 1, : y + 1, : z + 1]
 
 
-def _march_chunks(field: Field, grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices in units of the grid, and triangles with outward normals."""
+def _march_chunks(field: Field, grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.int64], Tensor]:
+    """Vertices in units of the grid, triangles with outward normals, and the signs at the nodes."""
     places, keys, triangles = [], [], []
     count = 0
-    for start, values in near_surface(field, grid):
+    chunks = near_surface(field, grid)
+    for start, values in chunks:
         if values.min() >= 0 or values.max() < 0:
             continue
         # Default winding ("descent") faces outward for f < 0 inside; its normals do not, so they are not used.
@@ -157,7 +164,7 @@ def _march_chunks(field: Field, grid: Grid) -> tuple[NDArray[np.float64], NDArra
         raise _no_surface(field, positive=bool(field.value(field.bounds.mean(dim=0, keepdim=True)) > 0))
     # A vertex between two chunks is found by both; they agree on its edge.
     _, first, merged = np.unique(np.concatenate(keys), return_index=True, return_inverse=True)
-    return np.concatenate(places)[first], merged[np.concatenate(triangles)]
+    return np.concatenate(places)[first], merged[np.concatenate(triangles)], chunks.signs
 
 
 def _edge_keys(place: NDArray[np.float64], nodes: tuple[int, ...]) -> NDArray[np.int64]:
@@ -402,8 +409,8 @@ class _Steepest:
 # In the plane: all at once
 
 
-def _march_squares(field: Field, grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices in units of the grid, and segments with the inside on their left."""
+def _march_squares(field: Field, grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.int64], Tensor]:
+    """Vertices in units of the grid, segments with the inside on their left, and the signs at the nodes."""
     index = torch.cartesian_prod(*[torch.arange(count, device=field.device) for count in grid.nodes])
     values = _finite(field.value(grid.place(index).float()))
     inside = values < 0
@@ -422,7 +429,8 @@ def _march_squares(field: Field, grid: Grid) -> tuple[NDArray[np.float64], NDArr
         points.append(ring)
         segments.append(np.stack([number, np.roll(number, -1)], axis=1))
         start += len(ring)
-    return np.concatenate(points), np.concatenate(segments).astype(np.int64)
+    signs = (1 - 2 * inside.to(torch.int8)).view(grid.nodes)
+    return np.concatenate(points), np.concatenate(segments).astype(np.int64), signs
 
 
 # What can be wrong

@@ -13,13 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Int8
 from torch import Tensor
 
 from implicit.arguments import counted, kind_of
 from implicit.field.field import Field, SurfaceError, require_field
 from implicit.surface.creases import edges_of, split_at_creases
-from implicit.surface.extraction import placed_vertices
+from implicit.surface.extraction import PlacedOnGrid, placed_on_grid
+from implicit.surface.marching import Grid
 from implicit.surface.projection import discontinuous, in_working_precision, place_on_surface
 
 # Six-point rule of degree 4 on the triangle (Dunavant 1985): two orbits (1 - 2a, a, a) and their weights.
@@ -91,11 +92,13 @@ def require_sample(field: Field, sample: SurfaceSample) -> SurfaceSample:
 
 @dataclass(frozen=True, eq=False)
 class MeshedSample:
-    """A quadrature and the mesh whose cells it came from."""
+    """A quadrature, the mesh whose cells it came from, and the grid that this was marched on."""
 
     sample: SurfaceSample
     vertices: Float[Tensor, "v d"]  # on the surface
     faces: Int[Tensor, "m d"]  # corners of the cells
+    grid: Grid
+    signs: Int8[Tensor, "*nodes"]  # of f at the nodes of the grid, zero where the surface is far
 
     def __repr__(self) -> str:
         cells = counted(len(self.faces), "triangle" if self.faces.shape[1] == 3 else "segment")
@@ -123,11 +126,12 @@ def surface_quadrature(field: Field, resolution: int = 64, *, exact_points: bool
 
 def meshed_quadrature(field: Field, resolution: int) -> MeshedSample:
     """Return the quadrature of surface_quadrature, its points left on the cells, with the marched mesh."""
-    nodes, corners, cells = _curved_mesh(field, resolution)
+    nodes, marched = _curved_mesh(field, resolution)
     points, normals, weights = _curved_rule(nodes)
     keep = weights > 0
     sample = SurfaceSample(points[keep], normals[keep], weights[keep]).to(field.dtype)
-    return MeshedSample(sample, corners.to(field.dtype), cells)
+    vertices = marched.placement.points.to(field.dtype)
+    return MeshedSample(sample, vertices, marched.faces, marched.grid, marched.signs)
 
 
 def curved_cells(field: Field, resolution: int) -> Float[Tensor, "m k d"]:
@@ -191,19 +195,20 @@ def normals_of(field: Field, points: Float[Tensor, "n d"], otherwise: Float[Tens
     return torch.where(known[:, None], gradients / length[:, None], otherwise)
 
 
-def _curved_mesh(field: Field, resolution: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Nodes of the curved cells, (m, 6, 3) or (m, 3, 2), and the vertices and faces of the marched mesh beneath."""
-    vertices, cells = placed_vertices(field, resolution)
+def _curved_mesh(field: Field, resolution: int) -> tuple[Tensor, PlacedOnGrid]:
+    """Nodes of the curved cells, (m, 6, 3) or (m, 3, 2), and the marched mesh beneath."""
+    marched = placed_on_grid(field, resolution)
+    vertices, cells = marched.placement, marched.faces
     corners, reach = vertices.points, 2 * field.size / resolution
     field = in_working_precision(field)
     edges, edge_of = edges_of(cells, len(corners))
     middles, slopes = _middle_nodes(field, corners, edges, reach, MOST_BULGE)
     split = split_at_creases(field, corners, cells, edges, edge_of, (vertices.gradients, slopes))
     if len(split[0]) == len(corners):
-        return _with_middle_nodes(corners, cells, middles, edge_of), corners, cells
+        return _with_middle_nodes(corners, cells, middles, edge_of), marched
     edges, edge_of = edges_of(split[1], len(split[0]))
     middles, _ = _middle_nodes(field, split[0], edges, reach, MOST_BULGE_BY_CREASES)
-    return _unfolded(_with_middle_nodes(*split, middles, edge_of)), corners, cells
+    return _unfolded(_with_middle_nodes(*split, middles, edge_of)), marched
 
 
 def _middle_nodes(field: Field, corners: Tensor, edges: Tensor, reach: float, most: float) -> tuple[Tensor, Tensor]:

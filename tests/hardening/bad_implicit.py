@@ -516,7 +516,7 @@ def _of_edits() -> Iterator[BadCase]:
     yield from refusals("Holding", "enforce", choices(), implicit.Holding)
     for name in ("tolerance", "penalty"):
         yield from refusals("Holding", name, positives(), lambda x, name=name: implicit.Holding(**{name: x}))
-    for name in ("resolution", "fine_resolution"):
+    for name in ("resolution", "fine_resolution", "finest_resolution"):
         yield from refusals("Holding", name, counts(4), lambda x, name=name: implicit.Holding(**{name: x}))
     yield from refusals(
         "semantic_edit",
@@ -611,6 +611,12 @@ def _of_samples() -> Iterator[BadCase]:
         "sample_surface: density for farthest",
         lambda: implicit.sample_surface(BALL, 5, "farthest", density=lambda x: x[:, 0]),
         ("density", "method"),
+    )
+    yield from refusals(
+        "integrate", "tolerance", positives(), lambda x: implicit.integrate(BALL, implicit.Volume(), 8, tolerance=x)
+    )
+    yield from refusals(
+        "integrate", "finest", counts(4), lambda x: implicit.integrate(BALL, implicit.Volume(), 8, finest=x)
     )
     takers: dict[str, Call] = {
         "extract_mesh": lambda x: implicit.extract_mesh(BALL, x),

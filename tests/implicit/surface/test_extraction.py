@@ -153,3 +153,14 @@ def test_soundness_of_a_relu_network_is_that_of_its_slopes():
         assert float((faces / slope - 1).abs().min()) < 1e-6
     assert (found.pieces, found.topology.euler) == (1, 2)
     assert changes(found, field_soundness(polytope(normals, offset, 100.0))) == ()
+
+
+def test_both_sides_of_a_sheet_thinner_than_a_cell_keep_their_vertices():
+    """From the node within the sheet Newton's method leads all vertices to one side, which left it no volume."""
+    sheet = shapes.rounded_box((0.5, 0.4, 0.01), 0.005, (0.0, 0.0, 0.2))
+    vertices, _ = extract_mesh(sheet, 48)
+    flat = vertices[(np.abs(vertices[:, :2]) < 0.3).all(axis=1)]
+    above, below = ((side * (flat[:, 2] - 0.2) > 0.0099).sum() for side in (1, -1))
+    assert above == below > 200
+    exact = shapes.exact_volume(sheet)
+    assert 0.85 * exact < Volume().value(sheet, surface_quadrature(sheet, 48)) < exact
