@@ -553,8 +553,10 @@ def smoothed(subject: Subject) -> dict[str, Any]:
     """Smooth beside the mesh flow of the same surface."""
     sizes = subject.sizes
     V, F = subject.mesh
-    flow = mean_curvature_flow(V, F, steps=sizes.steps, step_size=STEP_SIZE, method="semi-implicit")
-    edit = smooth(subject.field, steps=sizes.steps, step_size=STEP_SIZE, points=sizes.points, resolution=sizes.cells)
+    # An eighth of the step leaves the mesh's own error in time below a per cent; of 100 points the field's is ten.
+    flow = mean_curvature_flow(V, F, steps=8 * sizes.steps, step_size=STEP_SIZE / 8, method="semi-implicit")
+    points = max(sizes.points, 400)
+    edit = smooth(subject.field, steps=sizes.steps, step_size=STEP_SIZE, points=points, resolution=sizes.cells)
     lost, of_mesh = 1 - subject.contents(edit.field)[0] / subject.area, 1 - area(flow.V, F) / area(V, F)
     form = edit.history[-1].get("curvature", "pointwise") if edit.history else ""
     return {"lost": lost, "ratio": lost / of_mesh, "form": form, "status": edit.status.name}
