@@ -104,7 +104,14 @@ def run(command: Run) -> int:
 
         try:
             cases = _cases(command, modules, folder, executor, tell)
-            records = run_cases(cases, executor, folder=folder, progress=tell, on_record=lambda _: advance(bars, total))
+            records = run_cases(
+                cases,
+                executor,
+                folder=folder,
+                progress=tell,
+                on_record=lambda _: advance(bars, total),
+                on_failure="record",  # which the table shows
+            )
         except KeyboardInterrupt:
             on = f"What is done is kept; the same command with --resume -o {folder} goes on with the rest."
             raise KeyboardInterrupt(on) from None

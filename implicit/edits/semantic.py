@@ -73,7 +73,8 @@ def semantic_edit(
         tolerance: The edit stops when the root mean square of what is left along the normals is this part of the
             largest displacement along them.
         track: Further surface points (M, 3) to carry along, such as the rest of the shape.
-        progress: Called after each step.
+        progress: Called as progress(step, steps, row) after each step: its number from 1, how many there are, and its
+            row of the record, as in Edit.record.
 
     Returns:
         The edit. Its status is REACHED, or NOT_REACHED if the tolerance was not met in all steps; `wanted` is NaN at
