@@ -119,7 +119,7 @@ def prescribe(
     sample = sample_surface(field, 40 * points, resolution=resolution, seed=seed)
     chosen, displacements = [], []
     targets = SummedTargets(handles, sample.points, sample.normals)
-    targets.require_points_in_each_region()
+    targets.require_points_in_each_region(field.units)
     for k, handle in enumerate(handles):
         share = points // len(handles) + (k < points % len(handles))
         x = sample.points[targets.handle_weights[k] > 0]

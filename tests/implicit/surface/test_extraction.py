@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from implicit import Field, SurfaceError, Volume, extract_mesh, sample_surface, shapes, surface_quadrature
+from implicit import Field, SurfaceError, Units, Volume, extract_mesh, sample_surface, shapes, surface_quadrature
 from implicit.sensitivity.shape_functionals import volume_terms
 from implicit.surface.marching import Grid, march
 from implicit.surface.soundness import changes, field_soundness
@@ -153,3 +153,13 @@ def test_soundness_of_a_relu_network_is_that_of_its_slopes():
         assert float((faces / slope - 1).abs().min()) < 1e-6
     assert (found.pieces, found.topology.euler) == (1, 2)
     assert changes(found, field_soundness(polytope(normals, offset, 100.0))) == ()
+
+
+def test_a_mesh_in_the_users_units_is_the_same_surface_there():
+    """A unit sphere that is 40 x + (100, 50, -20) to the user has its radius and center there."""
+    field = Field(shapes.sphere(1.0).module, bounds=((-2,) * 3, (2,) * 3), units=Units(40.0, (100.0, 50.0, -20.0)))
+    V, F = extract_mesh(field, 16, units="user")
+    np.testing.assert_allclose(np.linalg.norm(V - [100, 50, -20], axis=1), 40, rtol=1e-5)
+    np.testing.assert_array_equal(F, extract_mesh(field, 16)[1])
+    with pytest.raises(ValueError, match="units must be one of field, user, but is 'mm'"):
+        extract_mesh(field, 16, units="mm")
