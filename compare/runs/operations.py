@@ -55,9 +55,9 @@ def target_motion(case: Case, subject: Subject) -> Target:
 
 def _spans(subject: Subject) -> str:
     """Return where the shape is, in the field's coordinates and in the user's."""
-    corners = subject.V.min(axis=0), subject.V.max(axis=0)
+    corners = np.stack([subject.V.min(axis=0), subject.V.max(axis=0)])
     field = " to ".join(str(rounded(corner)) for corner in corners)
-    user = " to ".join(str(rounded(subject.to_user(corner))) for corner in corners)
+    user = " to ".join(str(rounded(corner)) for corner in subject.to_user(corners))
     said = f"In these the shape spans {field}"
     return f"{said}." if field == user else f"{said}; in the user's, those of its file, {user}."
 
