@@ -21,6 +21,7 @@ from compare.commands import exits
 from compare.commands.checks import require_lists
 from compare.commands.figures import Figures, figures
 from compare.commands.fit import Fit, fit
+from compare.commands.handles import Handles, handles
 from compare.commands.paper import Paper, paper
 from compare.commands.report import Report, report
 from compare.commands.run import Run, run
@@ -34,6 +35,7 @@ COMMANDS: dict[type, Callable[[Any], int]] = {
     Run: run,
     Study: study,
     Shapes: shapes,
+    Handles: handles,
     Fit: fit,
     Report: report,
     Figures: figures,

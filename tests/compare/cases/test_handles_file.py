@@ -1,10 +1,13 @@
 """Handles in the user's coordinates say there what the converted ones say in the field's."""
 
+import re
+
 import numpy as np
 import pytest
 import torch
 
 import implicit
+import meshref
 from compare import HandleSpec, InputError
 from compare.cases.handles_file import read_handles
 from compare.runs.records import read
@@ -78,3 +81,20 @@ def test_the_command_refuses_handles_that_no_edit_takes_or_that_are_not_there(co
     ended = command("run", "spot", "--handles", "gone.toml", "-o", "out", cwd=tmp_path)
     assert (ended.returncode, "gone.toml cannot be read" in ended.stderr) == (2, True)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_starting_file_and_the_ranges_are_in_the_coordinates_of_the_shapes_file(command, tmp_path):
+    """A ball of radius 20 about (100, 50, -20), given as a mesh."""
+    V, F = meshref.icosphere(3)
+    meshref.write_mesh(tmp_path / "ball.ply", 20 * V + [100, 50, -20], F)
+    ended = command("handles", "ball.ply", "-o", "mine.toml", cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    ranges = [[float(x) for x in re.findall(r"-?[0-9.]+", line)] for line in ended.stdout.splitlines()[:3]]
+    np.testing.assert_allclose([row[:2] for row in ranges], [[80, 120], [30, 70], [-40, 0]], atol=0.5)
+    found = read_handles(tmp_path / "mine.toml")
+    assert found.coordinates == "user"
+    points = torch.from_numpy(20 * V + [100, 50, -20])
+    for handle in found.handles:
+        assert 0 < int((handle.build().weights(points) > 0).sum()) < len(points) / 3
+    ended = command("handles", "ball.ply", "-o", "mine.toml", cwd=tmp_path)
+    assert (ended.returncode, "a new file" in ended.stderr) == (2, True)
