@@ -1,6 +1,6 @@
 """python -m compare is the command implicit-vs-mesh."""
 
-from compare.commands.cli import main
+from implicit_vs_mesh import main
 
 if __name__ == "__main__":
     main()

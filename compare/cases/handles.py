@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +26,9 @@ MOTIONS = {
 
 OPTIONAL = {"falloff", "rotation", "translation"}
 SCALARS = {"radius", "falloff", "distance"}  # the others are points or vectors
+# How each changes from the user's coordinates to the field's; rotations and normals are the same in both.
+PLACES = {"center", "lower", "upper", "point"}
+LENGTHS = {"radius", "falloff", "distance", "vector", "translation"}
 POSITIVE = {"radius": 0.0, "falloff": 0.0}
 
 
@@ -57,6 +60,13 @@ class HandleSpec:
         """Return whether it is an anchor: a part that is to stay where it is."""
         return self.motion["kind"] == "vector" and not np.any(self.motion["vector"])
 
+    def in_field(self, scale: float, offset: Sequence[float]) -> HandleSpec:
+        """Return the handle in a field's coordinates x, where it is given in the user's, scale * x + offset."""
+        motion = dict(self.motion)
+        if motion["kind"] == "rigid":  # about the user's origin, which the field has elsewhere
+            motion.setdefault("center", [0.0, 0.0, 0.0])
+        return HandleSpec(_in_field(self.region, scale, offset), _in_field(motion, scale, offset))
+
     def build(self) -> Handle:
         """Return the handle for the editors of `implicit`."""
         import implicit
@@ -74,6 +84,16 @@ class HandleSpec:
 def rounded(point: ndarray) -> list[float]:
     """Return a point as a list of numbers that are short to read, without negative zeros."""
     return [round(float(x), 6) + 0.0 for x in point]
+
+
+def _in_field(row: Mapping[str, Any], scale: float, offset: Sequence[float]) -> dict[str, Any]:
+    changed = dict(row)
+    for name, value in row.items():
+        if name in PLACES:
+            changed[name] = ((np.asarray(value, dtype=float) - np.asarray(offset, dtype=float)) / scale).tolist()
+        elif name in LENGTHS:
+            changed[name] = (np.asarray(value, dtype=float) / scale).tolist()
+    return changed
 
 
 def _words(row: Mapping[str, Any]) -> str:

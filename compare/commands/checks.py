@@ -2,10 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, get_args, get_type_hints
 
 from compare.errors import InputError
+
+
+def require_lists(command: Any, arguments: Sequence[str]) -> None:
+    """Refuse an option that takes several words and was given none."""
+    for field in dataclasses.fields(command):
+        option = f"--{field.name.replace('_', '-')}"
+        if getattr(command, field.name) == () and (option in arguments or field.default):
+            choices = get_args(get_args(get_type_hints(type(command))[field.name])[0])
+            wanted = f"one or more of {', '.join(choices)}" if choices else "one or more after it"
+            raise InputError(f"{option} names nothing. Name {wanted}, or leave {option} out.")
 
 
 def require_new_safetensors(what: str, path: Path) -> None:

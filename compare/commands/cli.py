@@ -18,8 +18,10 @@ from typing import Any, NoReturn
 import tyro
 
 from compare.commands import exits
+from compare.commands.checks import require_lists
 from compare.commands.figures import Figures, figures
 from compare.commands.fit import Fit, fit
+from compare.commands.handles import Handles, handles
 from compare.commands.paper import Paper, paper
 from compare.commands.report import Report, report
 from compare.commands.run import Run, run
@@ -33,6 +35,7 @@ COMMANDS: dict[type, Callable[[Any], int]] = {
     Run: run,
     Study: study,
     Shapes: shapes,
+    Handles: handles,
     Fit: fit,
     Report: report,
     Figures: figures,
@@ -43,20 +46,33 @@ COMMANDS: dict[type, Callable[[Any], int]] = {
 DESCRIPTION = """Neural fields and meshes, edited side by side.
 
 Exit codes: 0 done; 1 a case failed, and the others are done; 2 what was given cannot be used, and nothing was done; 130
-interrupted, and what was done is kept. For completion in the shell: --tyro-print-completion bash (or zsh, tcsh)."""
+interrupted, and what was done is kept; 141 whoever read the output has closed it. For completion in the shell:
+--tyro-print-completion bash (or zsh, tcsh)."""
 
 
 def main(arguments: list[str] | None = None) -> NoReturn:
-    """Run the command line and exit: 0 done, 1 a case failed, 2 the input cannot be used, 130 interrupted."""
+    """Run the command line and exit: 0 done, 1 a case failed, 2 the input cannot be used, 130 or 141 broken off."""
     # Threads that wait for each other by spinning starve when anything else runs: on two busy cores, a fit took fifteen
     # times as long. OpenMP reads this when torch is imported, which is later.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    arguments = sys.argv[1:] if arguments is None else arguments
+    try:
+        try:
+            code = _code(sys.argv[1:] if arguments is None else arguments)
+        finally:
+            sys.stdout.flush()  # for when the interpreter does it, nobody can say any more that the pipe is closed
+    except BrokenPipeError:  # as by `implicit-vs-mesh study --list | head -1`
+        _let_go_of_output()
+        code = exits.CLOSED
+    sys.exit(code)
+
+
+def _code(arguments: list[str]) -> int:
+    """Return the exit code of what the arguments ask for, once it is done or refused."""
     if arguments == ["--version"]:
         from importlib.metadata import version
 
         print(version("implicit-vs-mesh"))
-        sys.exit(exits.DONE)
+        return exits.DONE
     try:
         _require_command(arguments)
         command: Any = tyro.cli(
@@ -66,17 +82,26 @@ def main(arguments: list[str] | None = None) -> NoReturn:
             args=arguments,
             config=(tyro.conf.FlagCreatePairsOff,),
         )
-        code = COMMANDS[type(command)](command)
+        require_lists(command, arguments)
+        return COMMANDS[type(command)](command)
     except InputError as error:
         print(f"implicit-vs-mesh: {error}", file=sys.stderr)
-        code = exits.INPUT
+        return exits.INPUT
+    except BrokenPipeError:
+        raise
     except OSError as error:  # a disk that is full, a folder that has gone: what is written so far is whole
         print(f"implicit-vs-mesh: {error}", file=sys.stderr)
-        code = exits.FAILED
+        return exits.FAILED
     except KeyboardInterrupt as interruption:  # whose words, if any, say what is kept and how to go on
         print(f"implicit-vs-mesh: interrupted. {interruption}".rstrip(), file=sys.stderr)
-        code = exits.INTERRUPTED
-    sys.exit(code)
+        return exits.INTERRUPTED
+
+
+def _let_go_of_output() -> None:
+    """Send what is still to be written nowhere, so that the interpreter has nothing to complain of at its end."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, sys.stdout.fileno())
+    os.close(nowhere)
 
 
 def _require_command(arguments: Sequence[str]) -> None:

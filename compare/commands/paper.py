@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from ast import get_docstring, parse
+from collections.abc import Iterable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -28,6 +31,8 @@ class Paper:
     """Coarser and with fewer steps: to see that it works, not for figures."""
     seed: int = 0
     """Of every random choice."""
+    list: bool = False
+    """Print the names of the figures and what each holds."""
     resume: bool = False
     """Leave out the parts that the output already holds with the same settings."""
     quiet: bool = False
@@ -39,6 +44,8 @@ def paper(command: Paper) -> int:
     from compare.paper import PARTS, Request, draw_parts, pictures
     from compare.paper.findings import FILE, read_measured
 
+    if command.list:
+        return _list(PARTS)
     if unknown := [name for name in command.parts if name not in PARTS]:
         raise InputError(f"There is no figure {unknown[0]!r}; there are {', '.join(PARTS)}.")
     if command.meshes is not None and not command.meshes.is_dir():
@@ -68,4 +75,16 @@ def paper(command: Paper) -> int:
     measured = read_measured(command.output / FILE)
     minutes, of_processor = (sum(p.seconds for p in measured) / 60, sum(p.processor_seconds for p in measured) / 60)
     say(f"The {len(measured)} parts took {minutes:.1f} min, {of_processor:.1f} min of processor time.")
+    return exits.DONE
+
+
+def _list(parts: Iterable[str]) -> int:
+    """Print each part with the first sentence of its module, which is not imported: that would take torch's seconds."""
+    width = max(map(len, parts))
+    for name in parts:
+        spec = find_spec(f"compare.paper.{name}")
+        assert spec is not None
+        assert spec.origin is not None
+        said = get_docstring(parse(Path(spec.origin).read_text(encoding="utf-8"))) or ""
+        print(f"{name:{width}}  {said.splitlines()[0]}")
     return exits.DONE

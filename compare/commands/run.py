@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -14,6 +14,7 @@ from numpy import ndarray
 
 from compare.cases.case import BUNDLED, Case
 from compare.cases.default_cases import QUICK_FIT, QUICK_SIZE, case_of_subject, default_cases
+from compare.cases.handles_file import HandlesFile, read_handles
 from compare.cases.registry import OPERATIONS
 from compare.commands.checks import absolute_name, require_budget, require_folder_for, require_hole_limit, require_seed
 from compare.commands.exits import FAILED
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 else:  # a word of those that are registered, for tyro to refuse others and to complete
     OperationName = tyro.extras.literal_type_from_choices(tuple(OPERATIONS))
 
+Scaling = tuple[float, tuple[float, ...]]  # scale and offset of a field's units
+
 
 @dataclass
 class Run:
@@ -50,6 +53,9 @@ class Run:
     """Run folder; by default results/run- and the time."""
     operations: tuple[OperationName, ...] = tuple(OPERATIONS)
     """What to do with each shape."""
+    handles: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
+    """Handles of your own for the edits that take some (docs/handles.md), in the coordinates of the shape's file; by
+    default some are found on each shape."""
     quick: bool = False
     """Coarser and with fewer steps: to see that it works, not for figures."""
     bodies: Literal["refuse", "largest"] = "refuse"
@@ -87,6 +93,7 @@ def run(command: Run) -> int:
     modules = modules_of(command.shapes, command.module)
     require_hole_limit(command.hole_limit)
     require_budget(command.budget)
+    own = None if command.handles is None else _own_handles(command)
     mending = Mending(command.bodies, command.hole_limit)
     mended = say_mending(say, command.shapes, lambda name: check_shape(name, modules[name], mending))
 
@@ -103,8 +110,15 @@ def run(command: Run) -> int:
         tell = teller(bars, add_task(bars, "", None) if executor is None else None)
 
         try:
-            cases = _cases(command, modules, folder, executor, tell)
-            records = run_cases(cases, executor, folder=folder, progress=tell, on_record=lambda _: advance(bars, total))
+            cases = _cases(command, modules, folder, executor, tell, own)
+            records = run_cases(
+                cases,
+                executor,
+                folder=folder,
+                progress=tell,
+                on_record=lambda _: advance(bars, total),
+                on_failure="record",  # which the table shows
+            )
         except KeyboardInterrupt:
             on = f"What is done is kept; the same command with --resume -o {folder} goes on with the rest."
             raise KeyboardInterrupt(on) from None
@@ -118,9 +132,14 @@ def run(command: Run) -> int:
 
 
 def _cases(
-    command: Run, modules: Mapping[str, str | None], folder: Path, executor: Executor | None, tell: Progress
+    command: Run,
+    modules: Mapping[str, str | None],
+    folder: Path,
+    executor: Executor | None,
+    tell: Progress,
+    own_handles: HandlesFile | None,
 ) -> list[Case]:
-    """Prepare the shapes, which may fit a network to each, and find the handles on them."""
+    """Prepare the shapes, which may fit a network to each, and find the handles on them or place the user's own."""
     fit = {**(QUICK_FIT if command.quick else {}), **_fit_options(command)}
     settings: dict[str, Any] = {"seed": command.seed, **(QUICK_SIZE if command.quick else {})}
     # What decides the subject is the same for all cases of a shape.
@@ -133,11 +152,15 @@ def _cases(
     cases: list[Case] = []
     for name, case in any_case.items():
         try:
-            V, N, bounds = waiting[name].result() if waiting else _surface(case, folder, tell)
+            V, N, bounds, units = waiting[name].result() if waiting else _surface(case, folder, tell)
         except (ValueError, OSError, WorkerDiedError) as error:
             raise InputError(f"{name}: {error}") from error
         own = {**settings, "module": modules[name], "bounds": bounds}
-        cases += default_cases(name, V, N, operations=command.operations, quick=command.quick, fit=fit, **own)
+        found = default_cases(name, V, N, operations=command.operations, quick=command.quick, fit=fit, **own)
+        if own_handles is not None:
+            handles = own_handles.in_field(*units)
+            found = [replace(case, handles=handles) if case.handles else case for case in found]
+        cases += found
     return cases
 
 
@@ -148,11 +171,20 @@ def _fit_options(command: Run) -> dict[str, Any]:
     return changed if command.budget is None else {**changed, "budget": command.budget}
 
 
-def _surface(case: Case, folder: Path, progress: Progress | None = None) -> tuple[ndarray, ndarray, ndarray]:
+def _own_handles(command: Run) -> HandlesFile:
+    """Return the handles of the user's file, refused where no edit takes any."""
+    assert command.handles is not None
+    if not any(OPERATIONS[name].takes_handles for name in command.operations):
+        raise InputError(f"--handles gives handles, but {' and '.join(command.operations)} takes none. Leave it out.")
+    return read_handles(command.handles)
+
+
+def _surface(case: Case, folder: Path, progress: Progress | None = None) -> tuple[ndarray, ndarray, ndarray, Scaling]:
     """Return the vertices and normals of the common mesh of a case, whose subject is kept in the folder, and the bounds
-    of its field."""
+    and the units of its field."""
     subject = prepare_subject(case, folder=folder, progress=progress)
-    return subject.V, subject.N, subject.field.bounds.cpu().numpy()
+    units = subject.field.units
+    return subject.V, subject.N, subject.field.bounds.cpu().numpy(), (units.scale, tuple(units.offset))
 
 
 def _require_run_folder(folder: Path, resume: bool) -> None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from compare.runs.records import Record
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.progress import Progress as Bars
 
 
@@ -99,34 +100,63 @@ def print_json(records: Sequence[Record]) -> None:
 def print_table(records: Sequence[Record], *, settings: Sequence[str] = (), said: Sequence[str] = ()) -> None:
     """Print the main numbers of the records, their notes, and why any of them failed.
 
+    A narrow terminal gets fewer columns, without the last ones, and no shorter words.
+
     Args:
         records: A line for each side of each.
         settings: Names of settings, for a column each.
         said: Notes that were printed before.
     """
-    from rich import box
     from rich.console import Console
-    from rich.table import Table
 
     from compare.runs.columns import columns, lines, text
 
     shown = [(k, column) for k, column in enumerate(columns()) if column.brief]
-    table = Table("shape", "edit", "by", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    for name in [*settings, *(column.title for _, column in shown)]:
-        table.add_column(name, justify="right", no_wrap=True)
+    names = ["shape", "edit", "by", *settings, *(column.title for _, column in shown)]
+    groups = []
     for record in records:
         chosen = [_setting(record, name) for name in settings]
-        for shape, operation, side, _, values in lines(record):
-            table.add_row(shape, operation, side, *chosen, *(text(values[k], column) for k, column in shown))
-        table.add_section()
+        groups.append(
+            [
+                [shape, operation, side, *chosen, *(text(values[k], column) for k, column in shown)]
+                for shape, operation, side, _, values in lines(record)
+            ]
+        )
     console = Console()
-    console = Console(width=max(console.width, console.measure(table).maximum)) if settings else console
-    console.print(table)
+    _print_fitting(console, names, groups, least=4 + len(settings))  # fewer do not say what a row is
     for sentence in dict.fromkeys(note for record in records for note in record.notes if note not in said):
         console.print(sentence, markup=False)
     for record in records:
         if record.failed:
             console.print(f"{record.case.name}, {record.case.operation}: {record.status}", markup=False)
+
+
+def _print_fitting(console: Console, names: Sequence[str], groups: Sequence[list[list[str]]], least: int) -> None:
+    """Print groups of rows with as many columns as the console has room for, at least the least, and name the rest."""
+    from rich import box
+    from rich.console import Console
+    from rich.measure import Measurement
+    from rich.table import Table
+
+    def table_of(count: int) -> Table:
+        table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+        for k, name in enumerate(names[:count]):
+            table.add_column(name, justify="left" if k < 3 else "right", no_wrap=True)
+        for rows in groups:
+            for row in rows:
+                table.add_row(*row[:count])
+            table.add_section()
+        return table
+
+    def width_of(table: Table) -> int:
+        return Measurement.get(console, console.options.update(width=1000), table).maximum
+
+    counts = range(len(names), least, -1)
+    count = next((n for n in counts if width_of(table_of(n)) <= console.width), min(least, len(names)))
+    table = table_of(count)
+    Console(width=max(console.width, width_of(table))).print(table)
+    if count < len(names):
+        console.print(f"Left out for want of room: {', '.join(names[count:])}; they are in the report.", markup=False)
 
 
 def _setting(record: Record, name: str) -> str:

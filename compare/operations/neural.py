@@ -42,7 +42,7 @@ def run_edit(
         case: Its options are those under "implicit" in its parameters.
         subject: What is edited.
         method: The method's name, for a reader.
-        progress: Told of each step.
+        progress: Called as progress(step, steps, what) after each step.
         arguments: Of the editor, beside the case's options.
 
     Raises:

@@ -45,7 +45,7 @@ assert plotter.screenshot(return_img=True).std() > 0
 def pyvista_trouble() -> str | None:
     """Return why pyvista cannot draw here, in a sentence that says what to do, or None if it can."""
     if find_spec("pyvista") is None:
-        return 'pyvista is not installed: pip install "implicit-vs-mesh[figures]".'
+        return 'pyvista is not installed: pip install ".[figures]".'
     if sys.platform == "linux":
         try:
             ctypes.CDLL("libEGL.so.1")

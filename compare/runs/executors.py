@@ -235,7 +235,7 @@ def dask_executor(address: str) -> Iterator[Executor]:
     try:
         from distributed import Client
     except ImportError as error:
-        raise InputError('--dask needs distributed. Install it: pip install "implicit-vs-mesh[dask]".') from error
+        raise InputError('--dask needs distributed. Install it: pip install ".[dask]".') from error
     try:
         client = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
     except (OSError, ValueError) as error:

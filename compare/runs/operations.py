@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from compare.cases.case import Case
+from compare.cases.handles import rounded
 from compare.cases.subject import Subject
 from compare.errors import Progress
 from compare.operations.cavities import carried
@@ -42,8 +43,7 @@ def target_motion(case: Case, subject: Subject) -> Target:
         if not inside.any():
             raise ValueError(
                 f"Handle {number} of the case ({spec.region}) holds no vertex of {case.name}. Handles are given in the "
-                f"field's coordinates, where the shape spans {np.round(subject.V.min(0), 3)} to "
-                f"{np.round(subject.V.max(0), 3)}."
+                f"field's coordinates. {_spans(subject)} Move or widen the region."
             )
         motion = handles[number - 1].position(1.0, points, normals) - points
         displacement[inside] = motion.numpy()[inside]
@@ -51,6 +51,15 @@ def target_motion(case: Case, subject: Subject) -> Target:
     if summed:
         return Target(number_of, np.ones(len(subject.V), dtype=bool), targets.displacement().numpy())
     return Target(number_of, number_of > 0, displacement)
+
+
+def _spans(subject: Subject) -> str:
+    """Return where the shape is, in the field's coordinates and in the user's."""
+    corners = np.stack([subject.V.min(axis=0), subject.V.max(axis=0)])
+    field = " to ".join(str(rounded(corner)) for corner in corners)
+    user = " to ".join(str(rounded(corner)) for corner in subject.to_user(corners))
+    said = f"In these the shape spans {field}"
+    return f"{said}." if field == user else f"{said}; in the user's, those of its file, {user}."
 
 
 def edit_by_all(case: Case, subject: Subject, target: Target, progress: Progress | None = None) -> dict[str, Outcome]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from os import PathLike
 from pathlib import Path
 from time import perf_counter
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -43,7 +45,8 @@ def run_case(
         folder: Where the edited field and the meshes are written, with the subject, which cases of the same shape
             share; None writes nothing.
         keep_meshes: Whether the edited field and the meshes are written too; the subject always is.
-        progress: Told of each step: (step, steps, what is being done).
+        progress: Called as progress(step, steps, what) after each step: its number, how many there are, and in words
+            what is being done.
 
     Returns:
         The record. It is not appended to any file; run_cases does that.
@@ -142,11 +145,13 @@ def run_cases(
     keep_meshes: bool = True,
     progress: Progress | None = None,
     on_record: Callable[[Record], None] | None = None,
+    on_failure: Literal["warn", "raise", "record"] = "warn",
 ) -> list[Record]:
     """Run every case, here or on any concurrent.futures.Executor.
 
-    A case that fails becomes a record with its reason; it never ends the others. Of a pool of processes in which one
-    may be killed, take compare.Workers: in the standard ProcessPoolExecutor all that is not done yet fails with it.
+    A case that fails becomes a record with its reason in `status`, and ends the others only where that is asked for.
+    Of a pool of processes in which one may be killed, take compare.Workers: in the standard ProcessPoolExecutor all
+    that is not done yet fails with it.
 
     Args:
         cases: What to do; each carries its own seed. One that is named twice is done once.
@@ -156,10 +161,20 @@ def run_cases(
         keep_meshes: As for run_case.
         progress: As for run_case; told only of what runs here.
         on_record: Called with each record as it comes.
+        on_failure: "warn" gives a UserWarning for each record that has failed, whose `sides` lack what failed or are
+            empty; "raise" ends at the first one, which is kept in the folder; "record" leaves it to the reader of
+            `failed` and `status`.
 
     Returns:
         The records in the order of the cases, those found in the folder included.
+
+    Raises:
+        TypeError: The cases or the executor are none.
+        ValueError: on_failure is another word.
+        RuntimeError: A case failed, and on_failure is "raise".
     """
+    if on_failure not in ("warn", "raise", "record"):
+        raise ValueError(f'on_failure must be "warn", "raise" or "record", but is {on_failure!r}.')
     if not isinstance(cases, list | tuple) or not all(isinstance(case, Case) for case in cases):
         raise TypeError(f"cases must be a list of Case(shape, operation, ...), but are {cases!r:.200}.")
     if executor is not None and not callable(getattr(executor, "submit", None)):
@@ -181,7 +196,18 @@ def run_cases(
         done[record.key] = record
         if on_record is not None:
             on_record(record)
+        if record.failed:
+            _tell(record, on_failure)
     return [done[case.key] for case in cases]
+
+
+def _tell(record: Record, on_failure: str) -> None:
+    """Say of a record that it failed, as the caller of run_cases wants it said."""
+    said = f"{record.case.name}, {record.case.operation}: {record.status}"
+    if on_failure == "raise":
+        raise RuntimeError(said)
+    if on_failure == "warn":
+        warnings.warn(said, stacklevel=3)
 
 
 def _results(

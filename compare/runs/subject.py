@@ -177,7 +177,7 @@ def prepare_subject(case: Case, *, folder: Path | None = None, progress: Progres
     Args:
         case: Of it, the shape, the settings of the fit, the number of vertices, the resolution and the seed count.
         folder: A run folder; the subject is kept under its `subjects/`.
-        progress: Told of each step of a fit.
+        progress: Called as progress(step, steps, what) after each step of a fit.
 
     Raises:
         InputError: The shape cannot be used.

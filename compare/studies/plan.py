@@ -81,16 +81,23 @@ def outline(
     shape: str, module: str | None = None, mending: Mending | None = None
 ) -> tuple[Float[ndarray, "n 3"], Float[ndarray, "n 3"], Float[ndarray, "2 3"]]:
     """Return points spread evenly over a shape, in its field's coordinates, outward normals there, and its bounds."""
+    return placed_outline(shape, module, mending)[:3]
+
+
+def placed_outline(
+    shape: str, module: str | None = None, mending: Mending | None = None
+) -> tuple[Float[ndarray, "n 3"], Float[ndarray, "n 3"], Float[ndarray, "2 3"], implicit.Units]:
+    """Return what `outline` does, and the units of the field."""
     if Path(shape).suffix.lower() in MESH_SUFFIXES:
         V, F, _ = load_mesh(shape, mending)
-        V, _ = place_in_cube(V)
+        V, units = place_in_cube(V)
         bounds = np.array([[-1.0] * 3, [1.0] * 3])  # of every field that is fitted to a mesh
     else:
         field = _field(shape, module)
         V, F = implicit.extract_mesh(field, CELLS)
-        bounds = field.bounds.cpu().numpy()
+        bounds, units = field.bounds.cpu().numpy(), field.units
     sample = meshref.sample_mesh(V, F, POINTS)
-    return sample.points, sample.normals, bounds
+    return sample.points, sample.normals, bounds, units
 
 
 def check_options(study: Study) -> None:

@@ -115,6 +115,7 @@ def run_study(
                 keep_meshes=study.keep_meshes,
                 progress=progress,
                 on_record=on_record,
+                on_failure="record",  # which the table shows
             )
             sum_up(study, records, folder)
     except InputError:

@@ -76,7 +76,7 @@ def carriers(field: Field, points: int | SurfaceSample, targets_of: TargetsOf, *
         seed: Seed of the draws.
     """
     sample = carrying_points(field, points, seed=seed)
-    targets_of(sample.points, sample.normals).require_points_in_each_region()
+    targets_of(sample.points, sample.normals).require_points_in_each_region(field.units)
     if not has_sparse_rows(field, sample.points):
         return Carriers(sample)
     others = sample_surface(field, OTHERS, seed=seed + 1)

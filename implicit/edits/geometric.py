@@ -66,7 +66,8 @@ def geometric_edit(
             stray pieces from arising there; 0 leaves it to chance, as the paper does.
         resolution: Cells a side of the quadrature that measures the constraints and counts the pieces of the surface.
         track: Further surface points (M, D) to carry along.
-        progress: Called after each step.
+        progress: Called as progress(step, steps, row) after each step: its number from 1, how many there are, and its
+            row of the record, as in Edit.record.
         seed: Seed of the random points.
 
     Returns:

@@ -63,7 +63,13 @@ class _Combined(Region):
 
 @dataclass(frozen=True, repr=False)
 class Ball(Region):
-    """Points within `radius` of `center`."""
+    """Points within `radius` of `center`.
+
+    Args:
+        center: Point (D,).
+        radius: Length, positive.
+        falloff: Length outside over which the weight sinks smoothly from 1 to 0; 0 ends it at once.
+    """
 
     center: Vector
     radius: float
@@ -80,7 +86,12 @@ class Ball(Region):
 
 @dataclass(frozen=True, repr=False)
 class Box(Region):
-    """Points between the corners `lower` and `upper`."""
+    """Points between the corners `lower` and `upper`.
+
+    Args:
+        lower, upper: Corners (D,), lower < upper in each coordinate.
+        falloff: Length outside over which the weight sinks smoothly from 1 to 0; 0 ends it at once.
+    """
 
     lower: Vector
     upper: Vector
@@ -99,7 +110,13 @@ class Box(Region):
 
 @dataclass(frozen=True, repr=False)
 class HalfSpace(Region):
-    """Points on the side of the plane through `point` that `normal` points to."""
+    """Points on the side of the plane through `point` that `normal` points to.
+
+    Args:
+        point: Point (D,) of the plane.
+        normal: Vector (D,) of any length, into the region.
+        falloff: Length outside over which the weight sinks smoothly from 1 to 0; 0 ends it at once.
+    """
 
     point: Vector
     normal: Vector
@@ -118,7 +135,13 @@ class HalfSpace(Region):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NearPoints(Region):
-    """Points within `radius` of any of `centers` (M, D): a set picked on a mesh, for instance."""
+    """Points within `radius` of any of `centers`: a set picked on a mesh, for instance.
+
+    Args:
+        centers: Points (M, D).
+        radius: Length, positive.
+        falloff: Length outside over which the weight sinks smoothly from 1 to 0; 0 ends it at once.
+    """
 
     centers: Float[Tensor, "m d"] | Sequence[Sequence[float | int]]
     radius: float

@@ -73,7 +73,8 @@ def semantic_edit(
         tolerance: The edit stops when the root mean square of what is left along the normals is this part of the
             largest displacement along them.
         track: Further surface points (M, 3) to carry along, such as the rest of the shape.
-        progress: Called after each step.
+        progress: Called as progress(step, steps, row) after each step: its number from 1, how many there are, and its
+            row of the record, as in Edit.record.
 
     Returns:
         The edit. Its status is REACHED, or NOT_REACHED if the tolerance was not met in all steps; `wanted` is NaN at
@@ -118,7 +119,7 @@ def prescribe(
     sample = sample_surface(field, 40 * points, resolution=resolution, seed=seed)
     chosen, displacements = [], []
     targets = SummedTargets(handles, sample.points, sample.normals)
-    targets.require_points_in_each_region()
+    targets.require_points_in_each_region(field.units)
     for k, handle in enumerate(handles):
         share = points // len(handles) + (k < points % len(handles))
         x = sample.points[targets.handle_weights[k] > 0]

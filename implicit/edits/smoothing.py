@@ -142,7 +142,8 @@ def smooth(
         damping: Penalty on |d_theta|^2; None adapts it to the linearity error.
         resolution: Of the quadrature of each step, unless `holding` says.
         track: Surface points (M, D) to carry along. Where a piece vanishes they go on from the nearest point.
-        progress: Called after each step.
+        progress: Called as progress(step, steps, row) after each step: its number from 1, how many there are, and its
+            row of the record, as in Edit.record.
         seed: Of the random points; step k uses seed + k.
 
     Returns:

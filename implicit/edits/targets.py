@@ -22,6 +22,8 @@ from torch import Tensor
 
 from implicit.arguments import require_between
 from implicit.edits.handles import Handle
+from implicit.edits.regions import described
+from implicit.field.field import Units
 
 Rest = Literal["fixed", "free"] | float
 
@@ -58,15 +60,34 @@ class HandleTargets(ABC):
         whole = self.positions(1.0) - self.points
         return torch.where((self.weights > 0)[:, None], whole, torch.full_like(whole, float("nan")))
 
-    def require_points_in_each_region(self) -> None:
-        """Refuse a handle that holds none of the points."""
+    def require_points_in_each_region(self, units: Units | None = None) -> None:
+        """Refuse a handle that holds none of the points.
+
+        Args:
+            units: Those of the field, for the message to say in the user's coordinates too where the surface is.
+        """
         for k, weights in enumerate(self.handle_weights):
             if not bool((weights > 0).any()):
                 raise ValueError(
-                    f"No point of the surface lies in the region of handles[{k}]. The surface spans "
-                    f"{self.points.amin(dim=0).tolist()} to {self.points.amax(dim=0).tolist()}; move or widen the "
-                    "region."
+                    f"No point of the surface lies in the region of handles[{k}]. In the field's coordinates, in which "
+                    f"handles are given, the surface spans {_corners(self.points)}; move or widen the region."
+                    f"{_in_user_units(self.points, units)}"
                 )
+
+
+def _corners(points: Tensor) -> str:
+    return f"{described(points.amin(dim=0))} to {described(points.amax(dim=0))}"
+
+
+def _in_user_units(points: Tensor, units: Units | None) -> str:
+    """Return what to say to those whose own coordinates are others than the field's."""
+    if units is None or (units.scale == 1 and not any(units.offset)):
+        return ""
+    return (
+        f" In the user's coordinates, {units.scale:.6g} x + {described(units.offset)}, it spans "
+        f"{_corners(units.to_user(points))}: take places from there by field.units.to_field(places), and divide "
+        "lengths by field.units.scale."
+    )
 
 
 class SummedTargets(HandleTargets):

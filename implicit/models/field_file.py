@@ -325,6 +325,11 @@ def _of_another_program(path: Path) -> str | None:
             'what torch.save writes. If it holds a published network, read it by load_network(path, "auto") or '
             f'load_checkpoint(path, "auto"); otherwise {in_its_program}'
         )
+    if path.suffix not in (".safetensors", ""):
+        return (
+            f"by its name, {path.suffix}, of another format. Fit a field to a mesh by compare.fit_mesh; of a network "
+            f"of another program, {in_its_program}"
+        )
     return None
 
 

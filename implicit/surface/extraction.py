@@ -9,6 +9,7 @@ Conventions: faces wind so that their normals point out of f < 0; segments have 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import torch
@@ -16,7 +17,7 @@ from jaxtyping import Float, Int, Int8
 from numpy.typing import NDArray
 from torch import Tensor
 
-from implicit.arguments import require_positive, require_whole
+from implicit.arguments import require_choice, require_positive, require_whole
 from implicit.field.field import Field, SurfaceError, require_field
 from implicit.surface.bracketing import bracketed_zeros
 from implicit.surface.marching import MEMORY_LIMIT, Crossings, Grid, march
@@ -32,7 +33,13 @@ Vertices = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 
-def extract_mesh(field: Field, resolution: int = 128, *, memory_limit: float = MEMORY_LIMIT) -> tuple[Vertices, Faces]:
+def extract_mesh(
+    field: Field,
+    resolution: int = 128,
+    *,
+    memory_limit: float = MEMORY_LIMIT,
+    units: Literal["field", "user"] = "field",
+) -> tuple[Vertices, Faces]:
     """Return the surface as a closed triangle mesh, its vertices placed on f = 0.
 
     The field need only be continuous: where its gradient jumps or vanishes the vertices are found by brackets, each on
@@ -42,17 +49,21 @@ def extract_mesh(field: Field, resolution: int = 128, *, memory_limit: float = M
         field: A field in 3D (triangles), or in 2D (segments). Of half precision it is taken in single.
         resolution: Cells along the longest side of the bounds, at least 4.
         memory_limit: Bytes that the grid may take; a finer one is refused before any work.
+        units: Coordinates of the vertices: "field", or "user" for those of the file that the field was fitted to,
+            field.units.to_user of them.
 
     Returns:
-        Vertices (n, D) float64 in the field's coordinates, and faces (m, D) int64 that index them: triangles
+        Vertices (n, D) float64 in these coordinates, and faces (m, D) int64 that index them: triangles
         with outward normals, or in 2D segments with the inside on their left.
 
     Raises:
         SurfaceError: There is no zero set in the bounds, it leaves them, or f jumps over zero instead of crossing it.
         MemoryError: The grid would take more than memory_limit.
     """
+    require_choice("units", units, ("field", "user"))
     points, faces = marched_surface(field, resolution, memory_limit)
-    return points.double().cpu().numpy(), faces.cpu().numpy()
+    points = points.double() if units == "field" else field.units.to_user(points.double())
+    return points.cpu().numpy(), faces.cpu().numpy()
 
 
 def require_resolution(name: str, cells: int) -> None:

@@ -145,5 +145,5 @@ def _require(library: str, suffix: str) -> Any:
         return importlib.import_module(library)
     except ImportError:
         raise DamageError(
-            f"a {suffix} file needs {library}, which is not installed: pip install 'implicit-vs-mesh[formats]'"
+            f'a {suffix} file needs {library}, which is not installed: pip install ".[formats]"'
         ) from None

@@ -1,10 +1,22 @@
 """What is printed of a case, a handle, a subject, a study and a fit is a line or two, without dumps of arrays."""
 
 import dataclasses
+import inspect
 
+import compare
 import implicit.shapes
 import meshref
 from compare import Case, FitReport, HandleSpec, Study, Subject
+
+
+def test_the_package_lists_all_that_it_offers():
+    assert set(compare.__all__) <= set(dir(compare))
+
+
+def test_help_names_the_falloff_of_every_region():
+    for region in (implicit.Ball, implicit.Box, implicit.HalfSpace, implicit.NearPoints):
+        assert "falloff: Length" in inspect.getdoc(region)
+
 
 UP = HandleSpec({"kind": "ball", "center": [0, 0, 1], "radius": 0.3}, {"kind": "along", "distance": 0.1})
 

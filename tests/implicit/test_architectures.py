@@ -19,8 +19,8 @@ from tests.implicit.architectures import ARCHITECTURES, OPERATIONS, PAGE, RESULT
 
 pytestmark = pytest.mark.filterwarnings("ignore:The module cannot be vectorised")
 
-# Edits that a field this small cannot make: six numbers of a code, two layers of attention, one behind an encoding. They
-# say NOT_REACHED, and by how much depends on where the points happen to lie.
+# Edits that a field this small cannot make: six numbers of a code, two layers of attention, one behind an encoding.
+# They say NOT_REACHED, and by how much depends on where the points happen to lie.
 BEYOND = {("a decoder's code", "rigid_edit"), ("attention", "rigid_edit"), ("NeRF encoding, softplus", "rigid_edit")}
 
 # How far an edit may be from what was asked and still say that it is done.

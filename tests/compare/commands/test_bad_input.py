@@ -112,6 +112,19 @@ def test_a_shape_that_is_not_there_is_refused(command, arguments, message, tmp_p
     assert files_under(tmp_path) == {}
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run", "spot", "--operations", "-o", "out"], "--operations names nothing. Name one or more of geometric,"),
+        (["figures", "run", "--formats", "-o", "out"], "--formats names nothing. Name one or more of png, pdf, svg"),
+        (["study", "points", "--shapes", "-o", "out"], "--shapes names nothing. Name one or more after it"),
+    ],
+)
+def test_an_option_that_names_nothing_is_refused(command, arguments, message, tmp_path):
+    assert message in refused(command(*arguments, cwd=tmp_path))
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_output_folder_that_holds_a_run_is_refused(command, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "results.jsonl").write_text('{"precious": 1}\n')

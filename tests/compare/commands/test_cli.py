@@ -73,6 +73,55 @@ def test_studies_are_listed_with_what_they_show(command, tmp_path):
     assert "Resolution of the mesh against error" in command("study", "--list", cwd=tmp_path).stdout
 
 
+def test_parts_of_the_paper_are_listed_with_what_they_hold(command, tmp_path):
+    from compare.paper import PARTS
+
+    lines = command("paper", "--list", cwd=tmp_path).stdout.splitlines()
+    assert [line.split()[0] for line in lines] == list(PARTS)
+    assert all(len(line.split()) > 4 for line in lines)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interruption_of_the_imports_ends_quietly(tmp_path):
+    """Whichever import is interrupted, of the command or of what it needs."""
+    code = (
+        "import sys\n"
+        "class Interrupt:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == WORD:\n"
+        "            raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Interrupt())\n"
+        "sys.argv[1:] = ['run', 'spot', '-o', 'out']\n"
+        "import implicit_vs_mesh\n"
+        "implicit_vs_mesh.main()\n"
+    )
+    for word in ("compare", "tyro", "implicit.surface"):
+        result = subprocess.run(
+            [sys.executable, "-c", code.replace("WORD", repr(word))], capture_output=True, text=True, cwd=tmp_path
+        )
+        assert (result.returncode, result.stdout) == (130, ""), word
+        assert result.stderr.strip() == "implicit-vs-mesh: interrupted.", word
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("arguments", [["study", "--list"], ["shapes"], ["--help"], ["--version"]])
+def test_a_closed_pipe_ends_quietly(arguments, tmp_path):
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        result = subprocess.run(
+            [sys.executable, "-m", "compare", *arguments],
+            stdout=writer,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=tmp_path,
+        )
+    finally:
+        os.close(writer)
+    assert result.stderr == ""
+    assert result.returncode in (1, 141)  # 1 is what rich ends with
+
+
 def test_shapes_lists_the_bundled_ones_with_their_fit(command, tmp_path):
     rows = json.loads(command("shapes", "--json", cwd=tmp_path).stdout)
     assert list(rows) == ["spot", "cactus", "bracket"]

@@ -1,10 +1,12 @@
 """docs/metrics.md explains every number that a record or a table holds, and none that there is not."""
 
+import dataclasses
 import re
 from pathlib import Path
 
 import pytest
 
+from compare.commands.shown import print_table
 from compare.runs.columns import SIDES, columns
 
 PAGE = (Path(__file__).parents[3] / "docs" / "metrics.md").read_text(encoding="utf-8")
@@ -68,3 +70,20 @@ def test_curves_end_at_the_numbers_of_their_side(small_run):
             for name in ("volume_drift", "area_drift"):
                 assert abs(end[name] - row[name]) < (5e-3 if side == "implicit" else 1e-12), (side, name)
         assert len(record.sides["implicit"]["curve"]) == record.sides["implicit"]["details"]["steps"] + 1
+
+
+@pytest.mark.parametrize("width", [60, 80, 300])
+def test_a_table_fits_the_terminal_without_cut_words(small_run, width, capsys, monkeypatch):
+    """Columns are left out from the last one, and named."""
+    monkeypatch.setenv("COLUMNS", str(width))
+    print_table([dataclasses.replace(record, notes=()) for record in small_run.records])
+    said = capsys.readouterr().out
+    assert "\u2026" not in said
+    table, _, left_out = said.partition("Left out")
+    assert max(len(line.rstrip()) for line in table.splitlines()) <= width
+    titles = [column.title for column in columns() if column.brief]
+    shown = [title for title in titles if title in table.splitlines()[1].split()]
+    assert shown == titles[: len(shown)]
+    assert len(shown) >= 1
+    assert all(title in " ".join(left_out.split()) for title in titles[len(shown) :])
+    assert (width >= 80) == (len(shown) == len(titles))

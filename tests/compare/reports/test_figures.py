@@ -133,7 +133,7 @@ def test_without_pyvista_the_extra_is_named(monkeypatch):
     monkeypatch.setattr(pyvista_painter, "find_spec", lambda name: None)
     assert usable_painter("auto") == (
         "matplotlib",
-        'pyvista is not installed: pip install "implicit-vs-mesh[figures]".',
+        'pyvista is not installed: pip install ".[figures]".',
     )
     with pytest.raises(ValueError, match=r"pyvista cannot draw here: pyvista is not installed.*--painter matplotlib"):
         usable_painter("pyvista")

@@ -103,10 +103,16 @@ def test_a_case_that_fails_is_a_row_with_its_reason_and_ends_nothing(small_cases
     off = HandleSpec({"kind": "ball", "center": [9.0, 0.0, 0.0], "radius": 0.1}, {"kind": "along", "distance": 0.1})
     bad = dataclasses.replace(small_cases[0], handles=(off,))
     good = small_cases[0]
-    records = run_cases([bad, good], folder=tmp_path)
+    with pytest.warns(UserWarning, match=r"geometric: Failed\. ValueError: Handle 1 .* holds no vertex"):
+        records = run_cases([bad, good], folder=tmp_path)
     assert [r.failed for r in records] == [True, False]
     assert "holds no vertex" in records[0].status
     assert len(read(tmp_path)) == 2
+    with pytest.raises(RuntimeError, match="holds no vertex"):
+        run_cases([bad, good], on_failure="raise")
+    assert run_cases([bad], on_failure="record")[0].sides == {}
+    with pytest.raises(ValueError, match='on_failure must be "warn", "raise" or "record", but is None'):
+        run_cases([good], on_failure=None)
 
 
 def test_a_pool_gives_what_a_loop_gives(small_run, small_cases):
@@ -158,7 +164,7 @@ def failing(*_):
 def test_the_mesh_keeps_its_row_where_the_neural_side_fails(small_cases, tmp_path, monkeypatch):
     """For each operation: numbers, a file and a section of the report of the mesh, and the reason of the other side."""
     monkeypatch.setattr("compare.runs.operations._edit_field", failing)
-    records = run_cases(small_cases, folder=tmp_path)
+    records = run_cases(small_cases, folder=tmp_path, on_failure="record")
     assert all(record.failed for record in records)
     for record in records:
         assert record.sides["implicit"].status == "Failed. RuntimeError: The solver gave up."
@@ -180,7 +186,7 @@ def test_the_field_keeps_its_row_where_the_mesh_fails(small_cases, tmp_path, mon
 
     case = next(case for case in small_cases if case.operation == "geometric")
     monkeypatch.setattr(type(operation_of("geometric")), "mesh_editors", lambda _: {"mesh": failing})
-    (record,) = run_cases([case], folder=tmp_path)
+    (record,) = run_cases([case], folder=tmp_path, on_failure="record")
     assert record.failed
     assert record.sides["mesh"].status == "Failed. RuntimeError: The solver gave up."
     assert record.sides["implicit"].volume_after > 0

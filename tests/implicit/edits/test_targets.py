@@ -1,6 +1,7 @@
 """What handles ask of the points of a sphere, alone and where they overlap."""
 
 import math
+import re
 
 import pytest
 import torch
@@ -8,9 +9,11 @@ import torch
 from implicit import (
     Along,
     Ball,
+    Field,
     HalfSpace,
     Handle,
     RigidMotion,
+    Units,
     expressibility,
     geometric_edit,
     prescribe,
@@ -136,3 +139,16 @@ def test_one_handle_is_a_list_of_one():
         checked_handles([])
     with pytest.raises(TypeError, match="handles must be Handle"):
         checked_handles([TOP])
+
+
+def test_a_region_in_the_users_coordinates_is_told_where_the_surface_is_in_both():
+    """A unit sphere that is 40 x + (100, 50, -20) to the user."""
+    field = Field(shapes.sphere(1.0).module, bounds=((-2,) * 3, (2,) * 3), units=Units(40.0, (100.0, 50.0, -20.0)))
+    with pytest.raises(ValueError, match="No point of the surface") as refused:
+        geometric_edit(field, [Handle(Ball((100, 50, 10), 8), Along(0.1))], points=2000, steps=1, resolution=16)
+    words = str(refused.value)
+    corners = [float(x) for x in re.findall(r"-?[0-9.]+", words.partition("it spans")[2])[:6]]
+    assert corners == pytest.approx([60, 10, -60, 140, 90, 20], abs=1.0)
+    own = [float(x) for x in re.findall(r"-?[0-9.]+", words.partition("surface spans")[2])[:6]]
+    assert own == pytest.approx([-1, -1, -1, 1, 1, 1], abs=0.03)
+    assert "field.units.to_field" in words

@@ -332,3 +332,12 @@ def test_where_a_module_gives_its_values_is_kept_but_no_function_that_says_so(ne
     with pytest.raises(TypeError, match="cannot hold the function that the field has as output"):
         save_field(Field(made(nets, "rest"), output=lambda y: y[:, 2]), tmp_path / "b.safetensors", builder=name)
     assert not (tmp_path / "b.safetensors").exists()
+
+
+def test_a_file_of_another_format_is_called_that_and_a_cut_one_cut(tmp_path):
+    torch.save({"a": torch.zeros(3)}, tmp_path / "x.pth")
+    (tmp_path / "x.onnx").write_bytes(b"\x08\x07abcd")
+    (tmp_path / "x.safetensors").write_bytes(b"\x08\x07abcd")
+    for name, said in (("x.pth", "torch.save writes"), ("x.onnx", "of another format"), ("x.safetensors", "cut short")):
+        with pytest.raises(ValueError, match=said):
+            load_field(tmp_path / name)

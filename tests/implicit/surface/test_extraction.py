@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from implicit import Field, SurfaceError, Volume, extract_mesh, sample_surface, shapes, surface_quadrature
+from implicit import Field, SurfaceError, Units, Volume, extract_mesh, sample_surface, shapes, surface_quadrature
 from implicit.sensitivity.shape_functionals import volume_terms
 from implicit.surface.marching import Grid, march
 from implicit.surface.soundness import changes, field_soundness
@@ -164,3 +164,13 @@ def test_both_sides_of_a_sheet_thinner_than_a_cell_keep_their_vertices():
     assert above == below > 200
     exact = shapes.exact_volume(sheet)
     assert 0.85 * exact < Volume().value(sheet, surface_quadrature(sheet, 48)) < exact
+
+
+def test_a_mesh_in_the_users_units_is_the_same_surface_there():
+    """A unit sphere that is 40 x + (100, 50, -20) to the user has its radius and center there."""
+    field = Field(shapes.sphere(1.0).module, bounds=((-2,) * 3, (2,) * 3), units=Units(40.0, (100.0, 50.0, -20.0)))
+    V, F = extract_mesh(field, 16, units="user")
+    np.testing.assert_allclose(np.linalg.norm(V - [100, 50, -20], axis=1), 40, rtol=1e-5)
+    np.testing.assert_array_equal(F, extract_mesh(field, 16)[1])
+    with pytest.raises(ValueError, match="units must be one of field, user, but is 'mm'"):
+        extract_mesh(field, 16, units="mm")

@@ -1,0 +1,71 @@
+"""Handles in a TOML file, in the coordinates of the shape's own file or in the field's.
+
+    coordinates = "user"                    # those of the shape's file, the default; or "field"
+    [[handles]]
+    region = { kind = "ball", center = [100.0, 50.0, 10.0], radius = 8.0 }
+    motion = { kind = "vector", vector = [0.0, 0.0, 5.0] }
+
+A handle is as in HandleSpec, and as in the file of a study, whose handles are in the field's coordinates.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from compare.cases.handles import HandleSpec
+from compare.errors import InputError
+
+COORDINATES = ("user", "field")
+KEYS = {"coordinates", "handles"}
+
+
+@dataclass(frozen=True)
+class HandlesFile:
+    """Handles, and the coordinates in which they are given: "user" or "field"."""
+
+    handles: tuple[HandleSpec, ...]
+    coordinates: str = "user"
+
+    def in_field(self, scale: float, offset: Sequence[float]) -> tuple[HandleSpec, ...]:
+        """Return the handles in the coordinates x of a field that are scale * x + offset to the user."""
+        if self.coordinates == "field":
+            return self.handles
+        return tuple(handle.in_field(scale, offset) for handle in self.handles)
+
+
+def read_handles(path: str | PathLike[str]) -> HandlesFile:
+    """Return the handles of a file.
+
+    Raises:
+        InputError: There is no such file, or it holds something else.
+    """
+    path = Path(path)
+    try:
+        given = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"The handles {path} cannot be read: {error.strerror}. Name a TOML file with them.") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path} is no TOML: {error}.") from error
+    if unknown := sorted(set(given) - KEYS):
+        raise InputError(f"There is no key {unknown[0]} in {path}; it takes coordinates and [[handles]].")
+    coordinates = given.get("coordinates", "user")
+    if coordinates not in COORDINATES:
+        raise InputError(f'coordinates in {path} must be "user" or "field", but is {coordinates!r}.')
+    rows = given.get("handles")
+    if not isinstance(rows, list) or not rows:
+        raise InputError(f"{path} holds no handles. Write [[handles]] with a region and a motion, once for each.")
+    return HandlesFile(tuple(_handle(row, k, path) for k, row in enumerate(rows, start=1)), coordinates)
+
+
+def _handle(row: Any, number: int, path: Path) -> HandleSpec:
+    if not isinstance(row, dict) or set(row) != {"region", "motion"}:
+        raise InputError(f"Handle {number} in {path} must have a region and a motion, but is {row!r:.200}.")
+    try:
+        return HandleSpec(**row)
+    except (ValueError, TypeError) as error:
+        raise InputError(f"Handle {number} in {path} makes no sense: {error}") from error
