@@ -168,7 +168,7 @@ def _points(problem: FiniteProblem, start: Deformation, tell: _Teller) -> Minimu
     rest, surface = start.rest, start.surface
     vertices = torch.from_numpy(surface.vertices).to(problem.precise.theta)
     targets = AveragedTargets(problem.handles, vertices, torch.from_numpy(surface.normals).to(vertices))
-    targets.require_points_in_each_region()
+    targets.require_points_in_each_region(problem.precise.units)
     weights = targets.weights.cpu().numpy()
     soft = np.where(weights < 1, KILLING_SHARE * problem.alpha * surface.masses * weights, 0.0)
     hold = Hold(rest.spread((weights >= 1).astype(np.float64)) > 0, rest.spread(soft))

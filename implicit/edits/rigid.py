@@ -273,7 +273,7 @@ def _carried(
     points = points.to(torch.float64) if isinstance(points, SurfaceSample) else points
     sample = carrying_points(precise, points, "farthest", seed=seed)
     targets = AveragedTargets(handles, sample.points, sample.normals)
-    targets.require_points_in_each_region()
+    targets.require_points_in_each_region(precise.units)
     _require_rigid_motion_fixed(sample.points[targets.prescribed])
     return sample, targets
 
