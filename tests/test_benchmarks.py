@@ -2,15 +2,18 @@
 
 import importlib
 import inspect
+import json
 import math
 import numbers
 from pathlib import Path
 
 import pytest
 
+import implicit
+
 ROOT = Path(__file__).parent.parent
 FILES = sorted(file.stem for file in (ROOT / "benchmarks").glob("[a-z]*.py"))
-SCRIPTS = {"common", "flat_memory", "side_by_side"}
+SCRIPTS = {"common", "flat_memory", "side_by_side", "whole_edits"}
 LARGE = pytest.mark.nightly  # of published sizes, or with many solves of the mesh beside
 KINDS = ("time_", "timeraw_", "peakmem_", "track_")
 
@@ -59,3 +62,12 @@ def test_every_benchmark_runs_on_its_first_parameters(benchmarks, name):
                 compile(inspect.cleandoc(result), method, "exec")
     for benchmark, given in ready.values():
         getattr(benchmark, "teardown", lambda *_: None)(*given)
+
+
+def test_the_page_of_whole_edits_is_that_of_its_rows_and_a_cell_runs(benchmarks):
+    module = benchmarks("whole_edits")
+    kept = json.loads(module.RESULTS.read_text())
+    assert module.PAGE.read_text() == module.page(kept["rows"], kept["machines"])
+    found = module.EDITS["semantic_edit"](implicit.shapes.bundled("spot"))
+    assert found["status"] == "REACHED"
+    assert "off" in module.text_of({"seconds": 1.0, "memory": None, **found})
