@@ -47,13 +47,15 @@ def mended(V: Float[ndarray, "n 3"], F: Int[ndarray, "m 3"], how: Mending) -> Me
     Raises:
         meshref.MeshError: The mesh cannot be mended.
     """
+    import meshref
+
+    if not _is_numeric(V) or not _is_numeric(F):
+        meshref.mend_mesh(V, F, bodies=how.bodies, hole_limit=how.hole_limit)  # which says what is wrong
     key = _key(V, F, how)
     with _LOCK:
         if key in _REMEMBERED:
             _REMEMBERED.move_to_end(key)
             return _REMEMBERED[key]
-    import meshref
-
     solid_V, solid_F, report = meshref.mend_mesh(V, F, bodies=how.bodies, hole_limit=how.hole_limit)
     for array in (solid_V, solid_F):
         array.flags.writeable = False  # they are handed out again
@@ -98,6 +100,14 @@ def _remember(results: Mapping[str, Mended]) -> None:
         _REMEMBERED.update(results)
         while len(_REMEMBERED) > REMEMBERED:
             _REMEMBERED.popitem(last=False)
+
+
+def _is_numeric(array: Any) -> bool:
+    """Return whether the bytes of an array are its numbers."""
+    try:
+        return np.asarray(array).dtype.kind in "fiu"
+    except (ValueError, TypeError):
+        return False
 
 
 def _key(V: Float[ndarray, "n 3"], F: Int[ndarray, "m 3"], how: Mending) -> str:

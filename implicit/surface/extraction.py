@@ -149,7 +149,11 @@ def _on_their_side(field: Field, start: Crossings, found: Placement) -> Placemen
     which, lower, upper, at_lower, at_upper = (x[crossed] for x in (which, lower, upper, at_lower, at_upper))
     tolerance = field.size * (1e-12 if field.dtype == torch.float64 else 1e-6)
     zeros = bracketed_zeros(field, lower, upper, at_lower, at_upper, tolerance)
+    slopes = field.gradient(zeros.points)
+    # Beside a blunt ridge that runs along the edge the other face is no other side.
+    opposed = (slopes * found.gradients[which]).sum(dim=1) < 0
+    which, slopes = which[opposed], slopes[opposed]
     points, arrived, jumps, gradients = (x.clone() for x in (found.points, found.arrived, found.jumps, found.gradients))
-    points[which], arrived[which], jumps[which] = zeros.points, ~zeros.jumps, zeros.jumps
-    gradients[which] = field.gradient(zeros.points)
+    points[which], arrived[which], jumps[which] = zeros.points[opposed], ~zeros.jumps[opposed], zeros.jumps[opposed]
+    gradients[which] = slopes
     return Placement(points, arrived, jumps, gradients)

@@ -12,7 +12,7 @@ import torch
 
 from implicit.arguments import counted
 from implicit.field.field import Field, SurfaceError
-from implicit.surface.extraction import marched_surface
+from implicit.surface.extraction import marched_surface, require_resolution
 from implicit.surface.topology import Topology, mesh_topology, surface_topology
 
 # Share of a cell's area (or length) below which a component is spurious. The one seen so far, on the ear of a rabbit,
@@ -62,6 +62,7 @@ def field_soundness(field: Field, resolution: int = 48) -> Soundness:
     Raises:
         SurfaceError: There is no surface in the bounds, or it leaves them.
     """
+    require_resolution("resolution", resolution)
     points, faces = marched_surface(field, fine_cells(resolution))
     topology = mesh_topology(points.double().cpu().numpy(), faces.cpu().numpy())
     cell = field.size / resolution
