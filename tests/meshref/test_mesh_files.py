@@ -342,5 +342,5 @@ def test_scenes_that_need_a_package_say_which(tmp_path, suffix, monkeypatch):
     monkeypatch.setitem(sys.modules, "lxml", None)
     monkeypatch.setitem(sys.modules, "collada", None)
     (tmp_path / f"a.{suffix}").write_text(DAE)
-    with pytest.raises(MeshError, match=r"needs lxml.*pip install 'implicit-vs-mesh\[formats\]'"):
+    with pytest.raises(MeshError, match=r'needs lxml.*pip install "\.\[formats\]"'):
         read_mesh(tmp_path / f"a.{suffix}")

@@ -83,6 +83,7 @@ def test_two_balls_that_overlap_are_united_before_they_are_fitted(monkeypatch):
     assert abs(report.volume_error) < 0.02
 
 
+@pytest.mark.nightly
 def test_a_tube_through_itself_is_fitted_without_walls_inside(monkeypatch):
     """Two strands cross; with the walls of each inside the other as f = 0, the field would have pieces there."""
     from compare.fitting import fit
