@@ -14,6 +14,7 @@ import implicit
 ROOT = Path(__file__).parent.parent
 FILES = sorted(file.stem for file in (ROOT / "benchmarks").glob("[a-z]*.py"))
 SCRIPTS = {"common", "flat_memory", "side_by_side", "whole_edits"}
+SHORT = {"basis", "extraction", "import_time", "mesh_flows", "quadrature", "solvers"}
 LARGE = pytest.mark.nightly  # of published sizes, or with many solves of the mesh beside
 KINDS = ("time_", "timeraw_", "peakmem_", "track_")
 
@@ -30,7 +31,7 @@ def benchmarks(monkeypatch):
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=LARGE if name in {"rigid", "semantic"} else ()) for name in FILES if name not in SCRIPTS],
+    [pytest.param(name, marks=() if name in SHORT else LARGE) for name in FILES if name not in SCRIPTS],
 )
 def test_every_benchmark_runs_on_its_first_parameters(benchmarks, name):
     """Setup and each method; what is tracked is a finite number, and has a unit."""

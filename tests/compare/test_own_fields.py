@@ -229,6 +229,7 @@ def test_a_study_cannot_name_code_to_fit(ball):
     assert not (ball / "was-run").exists()
 
 
+@pytest.mark.nightly
 def test_a_module_of_ones_own_is_fitted_to_a_mesh(monkeypatch):
     monkeypatch.setattr("compare.fitting.fit.ON_SURFACE", 12_000)
     monkeypatch.setattr("compare.fitting.fit.ABOUT_SURFACE", ((10_000, 0.01), (10_000, 0.05)))

@@ -171,6 +171,7 @@ def test_an_interrupted_fit_resumes_to_the_same_weights(tmp_path):
     assert torch.equal(resumed.theta, whole.theta)
 
 
+@pytest.mark.nightly
 @needs_meshes
 @pytest.mark.parametrize(
     ("name", "genus"),

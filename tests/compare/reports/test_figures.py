@@ -74,6 +74,7 @@ def test_a_shape_stands_where_it_is_and_the_right_way_up(painter):
     assert np.sqrt(len(rows) / np.pi) == pytest.approx(25, abs=1)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("painter_name", list(PAINTERS))
 def test_a_picture_is_written_for_each_shape_and_format(small_run, tmp_path, painter_name):
     if painter_name == "pyvista" and (trouble := pyvista_trouble()) is not None:
