@@ -50,7 +50,7 @@ def mended(V: Float[ndarray, "n 3"], F: Int[ndarray, "m 3"], how: Mending) -> Me
     import meshref
 
     if not _is_numeric(V) or not _is_numeric(F):
-        meshref.mend_mesh(V, F, bodies=how.bodies, hole_limit=how.hole_limit)  # which says what is wrong
+        return meshref.mend_mesh(V, F, bodies=how.bodies, hole_limit=how.hole_limit)  # which says what is wrong
     key = _key(V, F, how)
     with _LOCK:
         if key in _REMEMBERED:

@@ -262,3 +262,18 @@ def _refused() -> Iterator[Nasty]:
     yield Nasty(
         "a strut that looks inwards", *wrong, np.nan, refused="what is filled and what is hollow cannot be told"
     )
+
+
+def figure_of_eight(around=120, radius=0.12):
+    """Return a tube along a figure of eight, which passes through itself in the middle."""
+    t = np.linspace(0, 2 * np.pi, around, endpoint=False)
+    middle = np.stack([np.sin(t), np.sin(t) * np.cos(t), 0 * t], axis=1)
+    along = np.roll(middle, -1, axis=0) - np.roll(middle, 1, axis=0)
+    side = np.cross(along / np.linalg.norm(along, axis=1)[:, None], [0, 0, 1.0])
+    u = 2 * np.pi * np.arange(24) / 24
+    up = np.array([0, 0, 1.0])
+    V = middle[:, None] + radius * (np.cos(u)[:, None] * side[:, None] + np.sin(u)[:, None] * up)
+    i, j = (k.ravel() for k in np.indices((around, 24)))
+    a, b, c, d = (24 * ((i + p) % around) + (j + q) % 24 for p, q in ((0, 0), (1, 0), (1, 1), (0, 1)))
+    F = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    return V.reshape(-1, 3), F

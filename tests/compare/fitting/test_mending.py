@@ -4,6 +4,7 @@ import os
 
 import numpy as np
 import pytest
+from nasty_solids import figure_of_eight
 
 import meshref
 from compare.fitting import mending
@@ -88,7 +89,7 @@ def test_a_tube_through_itself_is_fitted_without_walls_inside(monkeypatch):
     """Two strands cross; with the walls of each inside the other as f = 0, the field would have pieces there."""
     from compare.fitting import fit
 
-    V, F = self_crossing_tube()
+    V, F = figure_of_eight()
     given = []
 
     def keep(points, distances, normals, **_):
@@ -110,15 +111,3 @@ def test_a_tube_through_itself_is_fitted_without_walls_inside(monkeypatch):
     assert (-near[1] > depth - 0.01 * scale).all()
     drawn = fit.ON_SURFACE + sum(number for number, _ in fit.ABOUT_SURFACE) + fit.IN_CUBE
     assert 0.9 * drawn < len(points) < drawn
-
-
-def self_crossing_tube(around=120, radius=0.12):
-    t = np.linspace(0, 2 * np.pi, around, endpoint=False)
-    middle = np.stack([np.sin(t), np.sin(t) * np.cos(t), 0 * t], axis=1)
-    along = np.roll(middle, -1, axis=0) - np.roll(middle, 1, axis=0)
-    side = np.cross(along / np.linalg.norm(along, axis=1)[:, None], [0, 0, 1.0])
-    u = 2 * np.pi * np.arange(24) / 24
-    V = middle[:, None] + radius * (np.cos(u)[:, None] * side[:, None] + np.sin(u)[:, None] * np.array([0, 0, 1.0]))
-    i, j = (k.ravel() for k in np.indices((around, 24)))
-    a, b, c, d = (24 * ((i + p) % around) + (j + q) % 24 for p, q in ((0, 0), (1, 0), (1, 1), (0, 1)))
-    return V.reshape(-1, 3), np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
