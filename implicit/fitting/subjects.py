@@ -17,6 +17,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from implicit.field.field import CUBE, Bounds, Field, Units
+from implicit.models.linear import unset_linear
 from implicit.models.mlp import Mlp
 from implicit.models.siren import Siren
 
@@ -73,7 +74,7 @@ class StartedField:
             layer, _, kind = name.rpartition(".")
             weight, bias = self._blocks.get(f"{layer}.weight"), self._blocks.get(f"{layer}.bias")
             if kind == "weight" and weight is not None and bias is not None and _is_linear(own, layer):
-                shell = nn.utils.skip_init(nn.Linear, weight.shape[1], weight.shape[0])
+                shell = unset_linear(weight.shape[1], weight.shape[0])
                 shell.weight, shell.bias = weight, bias
                 self._layers.append(shell)
                 del rest[f"{layer}.weight"], rest[f"{layer}.bias"]

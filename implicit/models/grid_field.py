@@ -19,6 +19,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from implicit.arguments import require_numbers, require_whole
+from implicit.models.linear import unset_linear
 
 
 class FeatureDecoder(nn.Module):
@@ -34,7 +35,7 @@ class FeatureDecoder(nn.Module):
     def __init__(self, inputs: int, width: int, depth: int, generator: torch.Generator) -> None:
         super().__init__()
         widths = [inputs] + [width] * depth + [1]
-        layers: list[nn.Linear] = [nn.utils.skip_init(nn.Linear, a, b) for a, b in pairwise(widths)]
+        layers = [unset_linear(a, b) for a, b in pairwise(widths)]
         self.layers = nn.ModuleList(layers)
         with torch.no_grad():
             for layer in layers:

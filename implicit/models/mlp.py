@@ -15,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from implicit.arguments import require_whole
+from implicit.models.linear import unset_linear
 from implicit.models.registry import register
 
 
@@ -54,7 +55,7 @@ class Mlp(nn.Module):
         self.sharpness = float(sharpness)
         widths = [dimension] + [width] * depth + [1]
         generator = torch.Generator().manual_seed(0) if generator is None else generator
-        layers: list[nn.Linear] = [nn.utils.skip_init(nn.Linear, a, b) for a, b in pairwise(widths)]
+        layers = [unset_linear(a, b) for a, b in pairwise(widths)]
         self.layers = nn.ModuleList(layers)
         with torch.no_grad():
             for layer in layers[:-1]:

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from implicit.arguments import require_positive, require_whole
+from implicit.models.linear import unset_linear
 from implicit.models.registry import register
 
 
@@ -55,7 +56,7 @@ class Siren(nn.Module):
         self.frequency = float(frequency)
         widths = [dimension] + [width] * depth + [1]
         generator = torch.Generator().manual_seed(0) if generator is None else generator
-        layers: list[nn.Linear] = [nn.utils.skip_init(nn.Linear, a, b) for a, b in pairwise(widths)]
+        layers = [unset_linear(a, b) for a, b in pairwise(widths)]
         self.layers = nn.ModuleList(layers)
         with torch.no_grad():
             for k, layer in enumerate(layers):
