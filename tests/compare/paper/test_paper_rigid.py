@@ -14,7 +14,6 @@ from implicit import save_field, shapes
 
 
 @pytest.mark.nightly
-@pytest.mark.nightly
 def test_the_rigid_figure_finds_the_energies_of_all_three_sides(tmp_path):
     findings = draw_parts(Request(tmp_path, quick=True), ["rigid"])
     assert (tmp_path / "rigid.png").stat().st_size > 10_000

@@ -6,7 +6,6 @@ from compare.paper import Request, draw_parts, pictures
 
 
 @pytest.mark.nightly
-@pytest.mark.nightly
 def test_the_smoothing_figure_finds_what_is_lost_and_what_is_held(tmp_path):
     findings = {finding.what: finding.ours for finding in draw_parts(Request(tmp_path, quick=True), ["smoothing"])}
     change = "after 4 steps: volume, relative change [of that before]"
