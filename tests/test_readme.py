@@ -81,7 +81,11 @@ def in_short(command):
         "implicit-vs-mesh study points": " --shapes bracket",
     }
     more = next((more for start, more in cheaper.items() if command.startswith(start)), "")
-    fewer = {"paper basis semantic_basis": "paper basis", "implicit-vs-mesh run --": "implicit-vs-mesh run bracket --"}
+    fewer = {
+        "paper basis semantic_basis": "paper rope",
+        "implicit-vs-mesh run --": "implicit-vs-mesh run bracket --",
+        " --workers 2": "",
+    }
     command += more
     for long, short in fewer.items():
         command = command.replace(long, short)

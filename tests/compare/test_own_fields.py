@@ -148,6 +148,7 @@ def test_a_module_that_makes_no_sense_is_refused_by_the_case(changes, message):
         a_case(**changes)
 
 
+@pytest.mark.nightly
 def test_workers_get_the_module_too(ball):
     with executor_of(1, None) as executor:
         (record,) = run_cases([a_case()], executor, folder=ball / "run")

@@ -88,6 +88,9 @@ def wrong_in(row: architectures.Architecture, operation: str, found: dict[str, A
 # A constraint sees the surface alone, extracted ten times an edit: one architecture of each kind of curvature shows it.
 DEAR, HELD = {"smooth, volume held"}, {"sines of our own", "ReLU", "dense grid"}
 
+# Neighbours of the table take turns in these.
+IN_TURNS = ["rigid_edit", "smooth", "semantic_edit"]
+
 # Of networks that differ from another of the table in their weights or their precision alone, what looks at these.
 LIKE_OTHERS = {"ReLU, older weight norm", "SIREN as published", "ELU in half precision"}
 OF_WEIGHTS = {"basis", "basis_function", "expressibility, geometric_edit", "save_field, load_field"}
@@ -97,6 +100,8 @@ def is_like_others(name: str, operation: str) -> bool:
     """Return whether a cell of the table shows what another one does."""
     if operation in DEAR:
         return name not in HELD
+    if operation in IN_TURNS and (list(ARCHITECTURES).index(name) + IN_TURNS.index(operation)) % 2:
+        return True
     return name in LIKE_OTHERS and operation not in OF_WEIGHTS
 
 

@@ -257,7 +257,9 @@ CHANGING = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("name", CHANGING)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.nightly) if "older" in name else name for name in CHANGING]
+)
 def test_no_call_leaves_a_trace_in_the_next(name):
     """Each operation after each other, twice: the same bits, and nothing of it in the caller's module."""
     make = Caches if name == "caches" else RIGHT[name][0]

@@ -62,7 +62,7 @@ def test_curves_in_the_plane_are_fitted_too():
     assert mean_distance(field, circle) < 2e-3
 
 
-@pytest.mark.parametrize("activation", ["softplus", "relu"])
+@pytest.mark.parametrize("activation", [pytest.param("softplus", marks=pytest.mark.nightly), "relu"])
 def test_other_activations_fit_a_sphere(activation):
     sphere = shapes.sphere(0.6)
     field, _ = fit_field(*samples(sphere), width=64, depth=3, activation=activation, steps=300, batch=2048)

@@ -13,7 +13,10 @@ def motion_along_normals(field, theta, sample):
     moved, t = field.with_theta(theta), torch.zeros_like(sample.weights)
     for _ in range(30):
         value, gradient = moved.value_and_gradient(sample.points + t[:, None] * sample.normals)
-        t = t - value / (gradient * sample.normals).sum(dim=1)
+        change = value / (gradient * sample.normals).sum(dim=1)
+        t = t - change
+        if float(change.abs().max()) < 1e-15:
+            break
     return t
 
 
