@@ -1,9 +1,9 @@
 """Directions of descent that learn from the steps taken, beside a linear system that is nearly the Hessian.
 
-With g the gradient, P a positive definite matrix with a factor at hand, and s, y the last steps and what each changed in
-g, the inverse of the Hessian is taken for P^-1 corrected so that it takes each y to its s: BFGS of limited memory, by the
-two loops of Nocedal 1980 [Nocedal and Wright, Numerical Optimization, 2006, algorithm 7.4; with a Laplacian for P, Liu,
-Bouaziz, Kavan 2017]. P^-1 is linear, so the caller gives P^-1 g and P^-1 y, and no system is solved here.
+With g the gradient, P a positive definite matrix with a factor at hand, and s, y the last steps and what each changed
+in g, the inverse of the Hessian is taken for P^-1 corrected so that it takes each y to its s: BFGS of limited memory,
+by the two loops of Nocedal 1980 [Nocedal and Wright, Numerical Optimization, 2006, algorithm 7.4; with a Laplacian for
+P, Liu, Bouaziz, Kavan 2017]. P^-1 is linear, so the caller gives P^-1 g and P^-1 y, and no system is solved here.
 
 Only steps along which the slope rises, s . y > 0, are learned from, so that every direction goes downhill.
 """
