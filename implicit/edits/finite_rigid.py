@@ -26,7 +26,7 @@ from torch import Tensor
 from implicit.edits.handles import Handle
 from implicit.edits.rigid_placement import Placement
 from implicit.edits.targets import AveragedTargets
-from implicit.edits.towards_points import TowardsPoints
+from implicit.edits.towards_points import MOST, TowardsPoints, nearer
 from implicit.evolve.constraints import ConstraintSet, Holding
 from implicit.evolve.damping import AdaptiveDamping
 from implicit.evolve.edit import Edit, EditStatus, Progress, edit_status, reached_target, with_evidence
@@ -40,12 +40,12 @@ from implicit.sensitivity.shape_functionals import Functional, Volume
 from implicit.sensitivity.weak_curvature import FloatArray
 from implicit.step.local_global import Hold, LocalGlobal, Minimum, MinimumStatus
 from implicit.step.problem import Row
-from implicit.step.rest_shape import Deformation, RestShape
+from implicit.step.rest_shape import Deformation
 from implicit.step.surface_map import SurfaceMap
 from implicit.surface.projection import newton_to_surface
 from implicit.surface.quadrature import SurfaceSample
-from implicit.surface.soundness import Soundness, fine_cells
-from implicit.surface.topology import Topology, surface_topology
+from implicit.surface.soundness import Soundness, field_soundness
+from implicit.surface.topology import Topology
 
 # Vertices of the mesh that carries the energy, unless more points are asked for. Spokes and rims bend the more easily
 # the finer the mesh.
@@ -74,7 +74,7 @@ SAMPLES, BATCH = 20_000, 2048
 # Most steps of boundary sensitivity at the end, the strain between surface and points over the energy of these at which
 # no more are taken, and how many times the damping is tried where one breaks the surface.
 LAST_STEPS = 6
-STRAIN_LEFT = 0.08
+STRAIN_LEFT = 0.055
 FIRMNESS = (1.0, 1e2, 1e4)
 
 # Part of the points' surface inside another part of it that is told of.
@@ -99,11 +99,10 @@ class FiniteProblem:
         steps: Least number of stages of the path.
         alpha: Price of the squared distance from its goal of a point that a handle weighs by 1, against the strain
             energy; holds for weights below 1, a full weight holds firmly.
-        vertices: About how many the mesh is to have.
         resolution: Cells of the evidence and of the quadrature of the functionals.
         progress: Called with step, steps and a row.
         seed: Of the random samples.
-        start: Deformation that the field shows, of a shape at rest; None takes the field itself for that.
+        start: Deformation that the field shows, of a shape at rest.
     """
 
     field: Field
@@ -115,41 +114,45 @@ class FiniteProblem:
     constraints: Sequence[Functional]
     steps: int
     alpha: float
-    vertices: int
     resolution: int
     progress: Progress | None
     seed: int
-    start: Deformation | None = None
+    start: Deformation
 
 
-def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence[str] = ()) -> Edit:
+def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence[str], began: float) -> Edit:
     """Return the edit by finite rotations.
 
     Args:
         problem: What is asked.
         before: How sound the field is.
         notes: Sentences that the edit is to have beside its own.
+        began: Reading of perf_counter when the work began.
 
     Raises:
         ValueError: A region holds no vertex of the mesh, or the field cannot be trained.
     """
-    began = time.perf_counter()
-    tell = _Teller(problem.progress)
-    start = problem.start or Deformation.none(problem.precise, RestShape.of(problem.precise, problem.vertices))
+    tell, start = _Teller(problem.progress), problem.start
     minimum = _points(problem, start, tell)
     surface_map = start.map_to(minimum)
     own = [_minimum_note(minimum)] if minimum.status is not MinimumStatus.CONVERGED else []
     seconds_points = time.perf_counter() - began
-    if minimum.status is MinimumStatus.NOT_FINITE or not _stays_inside(problem.precise, surface_map.moved):
-        lost = minimum.status is not MinimumStatus.NOT_FINITE
-        ended = EditStatus.SURFACE_LOST if lost else EditStatus.NOT_FINITE
-        if lost:
-            own.append("The surface would leave the bounds of the field. Widen the bounds, or move the handles less.")
-        edit = replace(_untouched(problem, ended, began), notes=(*notes, *own))
-        return with_evidence(edit, problem.field, before, problem.resolution)
-    edited, following = _followed(problem, start, minimum, before.topology, tell)
+
+    def untouched(status: EditStatus, *words: str) -> Edit:
+        edit = replace(_untouched(problem, status, began), notes=(*notes, *own, *words))
+        return with_evidence(edit, problem.field, before, problem.resolution, before)
+
+    if minimum.status is MinimumStatus.NOT_FINITE:
+        return untouched(EditStatus.NOT_FINITE)
+    if not _stays_inside(problem.precise, surface_map.moved):
+        words = "The surface would leave the bounds of the field. Widen the bounds, or move the handles less."
+        return untouched(EditStatus.SURFACE_LOST, words)
+    follower = _follower(problem, start, minimum)
+    if follower.crossed > CROSSED:
+        return untouched(EditStatus.SELF_CROSSING, _crossing_note(follower.crossed, problem))
+    edited, following = _followed(problem, follower, before.topology, tell)
     own += _following_notes(problem.field, following)
-    row = _row(problem, edited, surface_map, minimum, following, seconds_points)
+    row = _row(problem, edited.field, surface_map, minimum, following, seconds_points)
     end = _polished(problem, edited, surface_map, start.rest.laplacian, before.topology, row)
     edit = _edit(problem, surface_map, end, began)
     reached = reached_target(edit) and following.miss_rms <= FOLLOWED * problem.field.size
@@ -160,7 +163,16 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
         notes=(*notes, *own, *end.notes),
         deformation=Deformation(start.field, start.rest, minimum.positions),
     )
-    return with_evidence(edit, problem.field, before, problem.resolution)
+    return with_evidence(edit, problem.field, before, problem.resolution, end.soundness)
+
+
+def vertices_of(field: Field, start: Deformation) -> SurfaceSample:
+    """Return the vertices of the mesh that carries the energy, on the field's surface: points that judge an edit."""
+    surface = start.surface
+    here = torch.from_numpy(surface.vertices).to(field.theta)
+    found, arrived = newton_to_surface(field, here, reach=field.size / 20)
+    points = torch.where(arrived[:, None], found, here)
+    return SurfaceSample(points, field.normal(points), torch.from_numpy(surface.masses).to(points))
 
 
 def _points(problem: FiniteProblem, start: Deformation, tell: _Teller) -> Minimum:
@@ -242,14 +254,12 @@ def _stays_inside(field: Field, positions: FloatArray) -> bool:
     return bool(((positions > lower + margin) & (positions < upper - margin)).all())
 
 
-def _followed(
-    problem: FiniteProblem, start: Deformation, minimum: Minimum, rest: Topology, tell: _Teller
-) -> tuple[Field, Following]:
-    """Return the field in float64 on the moved surface, trained until it is there in as many pieces as before.
+def _follower(problem: FiniteProblem, start: Deformation, minimum: Minimum) -> Follower:
+    """Return the field on its way to the moved surface.
 
     It learns what the field at rest is carried to, so that of many edits none adds its own misses to the next.
     """
-    follower = Follower(
+    return Follower(
         start.field.to(torch.float32),
         start.map_from_rest(minimum),
         values="auto",
@@ -258,23 +268,40 @@ def _followed(
         batch=BATCH,
         seed=problem.seed,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """A field in float64, how sound it is (None where it cannot be meshed), and whether it has the pieces of before."""
+
+    field: Field
+    soundness: Soundness | None
+    sound: bool
+
+    @classmethod
+    def of(cls, problem: FiniteProblem, field: Field, wanted: Topology) -> _Found:
+        try:  # in the precision of the field that was given, so that this is also the evidence of the end
+            soundness = field_soundness(field.to(problem.field.dtype), problem.resolution)
+        except SurfaceError:
+            return cls(field, None, False)
+        return cls(field, soundness, soundness.topology.same_type(wanted))
+
+
+def _followed(problem: FiniteProblem, follower: Follower, rest: Topology, tell: _Teller) -> tuple[_Found, Following]:
+    """Return the field on the moved surface, trained until it is there in as many pieces as before."""
     last = float("inf")
     for number, steps in enumerate(ROUNDS):
         tell.round(number)
-        found, following = follower.train(steps, tell.field)
-        near = following.miss_rms <= NEAR * found.size or following.miss_rms > STALLED * last
-        if following.status is FitStatus.DIVERGED or (near and _has_type(found, rest, problem.resolution)):
-            break
+        trained, following = follower.train(steps, tell.field)
+        found = None
+        near = following.miss_rms <= NEAR * trained.size or following.miss_rms > STALLED * last
+        if near or following.status is FitStatus.DIVERGED or number == len(ROUNDS) - 1:
+            found = _Found.of(problem, problem.precise.with_theta(trained.theta.double()), rest)
+            if found.sound or following.status is FitStatus.DIVERGED:
+                break
         last = following.miss_rms
-    return problem.precise.with_theta(found.theta.double()), following
-
-
-def _has_type(field: Field, wanted: Topology, resolution: int) -> bool:
-    """Return whether a field's surface can be meshed, into as many pieces with as many handles."""
-    try:
-        return surface_topology(field, fine_cells(resolution)).same_type(wanted)
-    except SurfaceError:
-        return False
+    assert found is not None
+    return found, following
 
 
 def _start(problem: FiniteProblem, surface_map: SurfaceMap) -> Field:
@@ -291,39 +318,57 @@ def _start(problem: FiniteProblem, surface_map: SurfaceMap) -> Field:
 
 @dataclass(frozen=True, eq=False)
 class _End:
-    """A field at the end of an edit, with its rows, how the last steps ended, and what is not known of what is held."""
+    """A field at the end of an edit, with its rows, how the last steps ended, and what is not known of what is held.
+
+    How sound it is stands beside it, where that is known.
+    """
 
     field: Field
     history: list[Row]
     status: EditStatus
     notes: tuple[str, ...]
+    soundness: Soundness | None
 
 
 def _polished(
     problem: FiniteProblem,
-    field: Field,
+    found: _Found,
     surface_map: SurfaceMap,
     laplacian: sparse.csc_array,
     rest: Topology,
     row: Row,
 ) -> _End:
     """Return the field nearer to the least energy, with the functionals at their targets."""
-    held = ConstraintSet.of(problem.precise, problem.constraints, Holding(resolution=problem.resolution), tuple(row))
-    goals = torch.from_numpy(surface_map.moved).to(field.theta)
-    masses = torch.from_numpy(surface_map.rest.masses).to(field.theta)
+    goals = torch.from_numpy(surface_map.moved).to(found.field.theta)
+    masses = torch.from_numpy(surface_map.rest.masses).to(found.field.theta)
     operation = TowardsPoints(goals, masses, laplacian, problem.seed)
+    enough, began = STRAIN_LEFT * row["energy"], time.perf_counter()
+    if found.sound:
+        closer, steps = nearer(operation, found.field, enough)
+        if steps > 0:
+            moved = _Found.of(problem, closer, rest)
+            found = moved if moved.sound else found
+    row = {**row, "strain_left": operation.left(found.field).energy()}
+    row["seconds"] += time.perf_counter() - began
+    if found.sound and not problem.constraints and (len(found.field.theta) <= MOST or row["strain_left"] <= enough):
+        return _End(found.field, [row], EditStatus.DONE, (), found.soundness)
+    return _mended(problem, found, operation, rest, row)
+
+
+def _mended(problem: FiniteProblem, found: _Found, operation: TowardsPoints, rest: Topology, row: Row) -> _End:
+    """Return the field after steps of boundary sensitivity that restore the functionals, or mend the pieces."""
+    held = ConstraintSet.of(problem.precise, problem.constraints, Holding(resolution=problem.resolution), tuple(row))
     loop = Loop(operation, held, changing=False)
-    left = operation.left(field)
-    state = loop.start(field, SurfaceSample(left.points, left.normals, masses), None)
+    left = operation.left(found.field)
+    state = loop.start(found.field, SurfaceSample(left.points, left.normals, operation.weights), None)
     rows: list[Row] = []
-    status, notes = EditStatus.DONE, tuple[str, ...]()
-    sound = _has_type(field, rest, problem.resolution)
+    status, notes, first = EditStatus.DONE, tuple[str, ...](), found.field
     for number in range(LAST_STEPS):
         needed = bool(problem.constraints) and not rows
-        if not needed and sound and left.energy() <= STRAIN_LEFT * row["energy"]:
+        if not needed and found.sound and left.energy() <= STRAIN_LEFT * row["energy"]:
             break
         for firmness in FIRMNESS:
-            fresh = replace(state, damping=AdaptiveDamping.of_precision(field.dtype)) if firmness > 1 else state
+            fresh = replace(state, damping=AdaptiveDamping.of_precision(first.dtype)) if firmness > 1 else state
             try:
                 step = replace(loop, operation=replace(operation, firmness=firmness)).step(fresh)
             except StepRefused as refusal:
@@ -331,20 +376,22 @@ def _polished(
                 continue
             after = operation.left(step.state.field)
             # What mends the pieces may cost energy, but what breaks them is not taken, nor what only costs energy.
-            whole = _has_type(step.state.field, rest, problem.resolution)
-            if (whole or not sound) and (whole > sound or needed or after.energy() < left.energy()):
+            moved = _Found.of(problem, step.state.field, rest)
+            better = moved.sound > found.sound or needed or after.energy() < left.energy()
+            if (moved.sound or not found.sound) and better:
                 break
-            refused = EditStatus.STRAY_PIECES if sound and not whole else EditStatus.DONE
+            refused = EditStatus.STRAY_PIECES if found.sound and not moved.sound else EditStatus.DONE
         else:
             status = refused if needed else status
             break
-        state, left, sound = step.state, after, whole
+        state, left, found = step.state, after, moved
         rows.append({**step.row, "step": number + 2})
-    if rows and problem.constraints:
-        state, rows[-1] = loop.polished(state, rows[-1])
-        row = {**row, **held.values(held.measure(field))}
-        notes = tuple(held.unresolved(rows[-1]["constraint_error"]))
-    return _End(state.field, [row, *rows], status, notes)
+    if not rows or not problem.constraints:
+        return _End(state.field, [row, *rows], status, notes, found.soundness)
+    state, rows[-1] = loop.polished(state, rows[-1])
+    row = {**row, **held.values(held.measure(first))}
+    notes = tuple(held.unresolved(rows[-1]["constraint_error"]))
+    return _End(state.field, [row, *rows], status, notes, None)
 
 
 def _edit(problem: FiniteProblem, surface_map: SurfaceMap, end: _End, began: float) -> Edit:
@@ -445,15 +492,22 @@ def _minimum_note(minimum: Minimum) -> str:
     )
 
 
+def _crossing_note(crossed: float, problem: FiniteProblem) -> str:
+    remedy = "Move the handles less"
+    if not any(type(functional) is Volume for functional in problem.constraints):
+        remedy = (
+            "Hold the volume (constraints=[Volume()]), which keeps what is turned from wringing itself thin, or move "
+        )
+        remedy += "the handles less"
+    return (
+        f"The points pass through each other: {crossed:.2g} of their surface lies inside another part of it. {remedy}."
+    )
+
+
 def _following_notes(field: Field, following: Following) -> list[str]:
     """Return what to know of how the field followed."""
     notes = []
     size = field.size
-    if following.crossed > CROSSED:
-        notes.append(
-            f"The points pass through each other: {following.crossed:.2g} of their surface lies inside another part of "
-            "it, which no field can show. Hold the volume, or move the handles less."
-        )
     if following.miss_rms > FOLLOWED * size or following.status is FitStatus.DIVERGED:
         notes.append(
             f"The field could not follow: its surface is {following.miss_rms / size:.2g} of the size away from where "

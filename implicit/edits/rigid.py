@@ -16,6 +16,7 @@ parameters. All is computed in float64: the damping that suits these systems is 
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -25,9 +26,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.arguments import require_positive, require_whole
-from implicit.edits.finite_rigid import VERTICES, FiniteProblem, finite_rigid_edit
+from implicit.edits.finite_rigid import VERTICES, FiniteProblem, finite_rigid_edit, vertices_of
 from implicit.edits.handles import Handle
-from implicit.edits.rigid_method import Method, chosen
+from implicit.edits.rigid_method import Choice, Method, chosen, measured
 from implicit.edits.rigid_placement import Placement
 from implicit.edits.targets import AveragedTargets, checked_handles
 from implicit.evolve.constraints import checked_constraints
@@ -45,10 +46,10 @@ from implicit.step.mesh_killing import MeshKilling
 from implicit.step.off_surface import off_surface
 from implicit.step.parameter_basis import spanned, spans_by_factors
 from implicit.step.problem import DampingRule, Row, StepProblem
-from implicit.step.rest_shape import Deformation
+from implicit.step.rest_shape import Deformation, RestShape
 from implicit.step.tangential_basis import CosineFeatures, TangentialModel
 from implicit.surface.quadrature import SurfaceSample
-from implicit.surface.sampling import carrying_points
+from implicit.surface.sampling import carrying_points, sample_surface
 from implicit.surface.soundness import field_soundness
 
 # Damping of a step relative to the trace of its normal matrix. Ten times less lets ripples in, which cost strain as
@@ -72,6 +73,9 @@ ALL_PARAMETERS = 4000
 COMBINATIONS = 1500
 FEWEST_COMBINATIONS = 500
 NUMBERS = 100_000_000
+
+# Points of the surface that are looked at to choose between the ways.
+LOOKED_AT = 1000
 
 # Weight of the bending part of E_K where none is asked for.
 BENDING = 0.1
@@ -153,6 +157,7 @@ def rigid_edit(
             a field without second derivatives, or the field did not come from `rest`.
     """
     require_options(field, damping=damping, resolution=resolution, progress=progress, seed=seed)
+    began = time.perf_counter()
     constraints = checked_constraints(constraints)
     precise = field.to(torch.float64)
     tracked = None if track is None else precise.require_points(precise.in_precision(track), "track")
@@ -166,35 +171,35 @@ def rigid_edit(
         seed=seed,
     )
     start = None if rest is None else _deformation(field, rest)
+    handles = checked_handles(handles)
     planar = precise.dimension == 2
     if planar or start is not None:
         method = _finite_alone(method, "a field in 2 dimensions" if planar else "a shape at rest of before")
-        sample, targets = _carried(precise, handles, points, seed)
-    else:
-        operation = prepare(precise, handles, settings, tangential, points)
-        sample, targets = operation.sample, operation.targets
-    whole = placement(sample, targets, 1.0)
-    options = linear_options(settings, tangential)
-    choice = chosen(method, sample, targets, whole, len(field.theta), options)
-    before = field_soundness(field, resolution)
+    points = _checked_points(precise, points)
+    choice = _choice(method, precise, handles, points, settings, tangential)
     if choice.finite:
+        vertices = max(VERTICES, points) if isinstance(points, int) else VERTICES
+        if start is None:
+            start = Deformation.none(precise, RestShape.of(precise, vertices))
+        sample = points if isinstance(points, SurfaceSample) else vertices_of(precise, start)
         finite = FiniteProblem(
             field=field,
             precise=precise,
-            handles=checked_handles(handles),
+            handles=handles,
             sample=sample,
-            targets=targets,
+            targets=_targets(precise, handles, sample),
             track=tracked,
             constraints=constraints,
             steps=steps,
             alpha=alpha,
-            vertices=max(VERTICES, points) if isinstance(points, int) else VERTICES,
             resolution=resolution,
             progress=progress,
             seed=seed,
             start=start,
         )
-        return finite_rigid_edit(finite, before, choice.notes)
+        return finite_rigid_edit(finite, field_soundness(field, resolution), choice.notes, began)
+    operation = prepare(precise, handles, settings, tangential, points)
+    before = field_soundness(field, resolution)
     edit = _by_linear_steps(precise, operation, constraints, resolution, tracked, progress)
     edit = replace(edit, field=edit.field.to(field.dtype), notes=(*choice.notes, *edit.notes))
     return with_evidence(edit, field, before, resolution)
@@ -265,17 +270,58 @@ def _deformation(field: Field, rest: Edit) -> Deformation:
     return rest.deformation
 
 
+def _checked_points(precise: Field, points: int | SurfaceSample) -> int | SurfaceSample:
+    """Return the points that carry an edit in float64, or how many there are to be, or refuse them."""
+    if not isinstance(points, SurfaceSample):
+        require_whole("points", points)
+        return points
+    precise.require_points(precise.in_precision(points.points), "points")
+    return points.to(torch.float64)
+
+
 def _carried(
     precise: Field, handles: Sequence[Handle], points: int | SurfaceSample, seed: int
 ) -> tuple[SurfaceSample, AveragedTargets]:
-    """Return the points that carry an edit, and what the handles ask of them."""
-    handles = checked_handles(handles)
-    points = points.to(torch.float64) if isinstance(points, SurfaceSample) else points
+    """Return the points that carry an edit by linear steps, and what the handles ask of them."""
+    points = _checked_points(precise, points)
     sample = carrying_points(precise, points, "farthest", seed=seed)
+    return sample, _targets(precise, checked_handles(handles), sample)
+
+
+def _targets(precise: Field, handles: Sequence[Handle], sample: SurfaceSample) -> AveragedTargets:
+    """Return what the handles ask of points of the surface.
+
+    Raises:
+        ValueError: A region misses them all, or they leave a rigid motion free.
+    """
     targets = AveragedTargets(handles, sample.points, sample.normals)
     targets.require_points_in_each_region(precise.units)
     _require_rigid_motion_fixed(sample.points[targets.prescribed])
-    return sample, targets
+    return targets
+
+
+def _choice(
+    method: Method,
+    precise: Field,
+    handles: Sequence[Handle],
+    points: int | SurfaceSample,
+    settings: RigidSettings,
+    tangential: TangentialModel | None,
+) -> Choice:
+    """Return the way that the edit goes, by a look at some points of the surface where that has to be measured."""
+    told = chosen(method, len(precise.theta), linear_options(settings, tangential))
+    if told is not None:
+        return told
+    _require_combinations(precise)  # before any work
+    if isinstance(points, SurfaceSample):
+        sample = points
+    else:
+        sample = sample_surface(precise.to(torch.float32), LOOKED_AT, seed=settings.seed).to(torch.float64)
+        seen = AveragedTargets(handles, sample.points, sample.normals)
+        if not all(bool((weights > 0).any()) for weights in seen.handle_weights):
+            sample = carrying_points(precise, points, "farthest", seed=settings.seed)
+    targets = _targets(precise, handles, sample)
+    return measured(sample, targets, placement(sample, targets, 1.0))
 
 
 def placement(sample: SurfaceSample, targets: AveragedTargets, fraction: float) -> Placement:
@@ -351,12 +397,7 @@ def prepare(
         raise ValueError(f"rigid_edit needs a field in 3 dimensions, but this one has {precise.dimension}.")
     if tangential is not None and not callable(getattr(tangential, "slopes", None)):
         raise TypeError(f"tangential must be None or a model such as CosineFeatures(field), but is {tangential!r}.")
-    if _combinations(precise) == 0:
-        raise ValueError(
-            f"The field has {len(precise.theta):,} parameters and no closed form of its derivatives; a rigid edit of "
-            f"such a field takes up to {NUMBERS // FEWEST_COMBINATIONS:,}. Edit some of them alone, such as those of "
-            "the last layers: Field(module, parameters=[...])."
-        )
+    _require_combinations(precise)
     sample, targets = _carried(precise, handles, points, settings.seed)
     model = CosineFeatures(precise, seed=settings.seed) if tangential is None else tangential
     return RigidOperation(sample, targets, settings, model)
@@ -471,6 +512,16 @@ def _combinations(field: Field) -> int | None:
         return COMBINATIONS
     room = NUMBERS // len(field.theta)
     return 0 if room < FEWEST_COMBINATIONS else min(COMBINATIONS, room)
+
+
+def _require_combinations(precise: Field) -> None:
+    """Refuse a field of which a linear step could choose among too few combinations of its parameters."""
+    if _combinations(precise) == 0:
+        raise ValueError(
+            f"The field has {len(precise.theta):,} parameters and no closed form of its derivatives; a rigid edit of "
+            f"such a field takes up to {NUMBERS // FEWEST_COMBINATIONS:,}. Edit some of them alone, such as those of "
+            "the last layers: Field(module, parameters=[...])."
+        )
 
 
 def _require_rigid_motion_fixed(points: Tensor) -> None:

@@ -45,21 +45,11 @@ class Choice:
     notes: tuple[str, ...] = ()
 
 
-def chosen(
-    method: Method,
-    sample: SurfaceSample,
-    targets: AveragedTargets,
-    whole: Placement,
-    parameters: int,
-    linear_options: list[str],
-) -> Choice:
-    """Return the way to go.
+def chosen(method: Method, parameters: int, linear_options: list[str]) -> Choice | None:
+    """Return the way to go where that is told, or None where it is to be measured.
 
     Args:
         method: What the caller asks for.
-        sample: Points of the unedited surface.
-        targets: What the handles ask of them.
-        whole: The rigid motion that goes nearest to it.
         parameters: How many the field has.
         linear_options: Names of the options that the caller has set and that finite rotations have not.
 
@@ -76,6 +66,17 @@ def chosen(
         return Choice(method == "finite")
     if parameters < FEWEST:
         return Choice(False, (f"Linear steps were taken, for the field has but {parameters} parameters.",))
+    return None
+
+
+def measured(sample: SurfaceSample, targets: AveragedTargets, whole: Placement) -> Choice:
+    """Return the way to go by how much of the motion is left to the handles.
+
+    Args:
+        sample: Points of the unedited surface.
+        targets: What the handles ask of them.
+        whole: The rigid motion that goes nearest to it.
+    """
     held = targets.prescribed
     left = (targets.positions(1.0) - whole.at(sample.points))[held].norm(dim=1).max()
     side = (sample.points.amax(dim=0) - sample.points.amin(dim=0)).max()

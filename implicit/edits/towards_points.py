@@ -5,6 +5,10 @@ surface along its normals to where the vertices are to be [paper, eq. 4, 5], in 
 (implicit.step.rigidity_target), and then restores the functionals (see implicit.evolve.evolve), so that these end as
 near as those of other edits. With more parameters than MOST the gaps count by area instead, for the least squares then
 knows only targets along the normal.
+
+Where nothing has to be restored, and no piece to be mended, the normal matrix of one step serves several: of what costs
+a step little is left in the matrix, made in single precision, and all of what steers it in the gaps, which are measured
+anew each time (`nearer`). A step is taken where it lowers the energy.
 """
 
 from __future__ import annotations
@@ -13,9 +17,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from scipy import sparse
+from scipy.linalg import lapack
 from torch import Tensor
 
 from implicit.evolve.edit import EditStatus
@@ -26,6 +32,7 @@ from implicit.step.energies import Energy, NormalTarget
 from implicit.step.off_surface import off_surface
 from implicit.step.problem import DampingRule, Row, StepProblem
 from implicit.step.rigidity_target import RigidityTarget
+from implicit.step.symmetric import add_gram
 from implicit.surface.projection import newton_to_surface
 from implicit.surface.quadrature import SurfaceSample
 
@@ -36,6 +43,13 @@ OFF_SURFACE_POINTS = 1000
 # Damping of the first step, and the least of later ones, relative to the trace of the normal matrix. A step may miss
 # its prediction by so many times its motion: what decides is whether the energy falls.
 FIRST_DAMPING, LEAST_DAMPING, ALLOWED = 1e-6, 3e-8, 3.0
+
+# Normal matrices that are made at most, steps that one of them serves, and the part of the energy before that a step is
+# to leave at most for another of its kind to be tried.
+MATRICES, STEPS, LEFT = 4, 3, 0.85
+
+# Part of the energy before that a matrix is to leave at most for another one to be made.
+WORTH = 0.95
 
 # Parameters up to which the metric of the energy is taken: its equations are a matrix.
 MOST = 4000
@@ -100,3 +114,84 @@ class TowardsPoints:
     def taken(self, state: State[None], taken: Taken) -> Outcome[None]:
         """Return nothing to keep or to record."""
         return Outcome(None)
+
+
+def nearer(operation: TowardsPoints, field: Field, enough: float) -> tuple[Field, int]:
+    """Return a field with less strain between its surface and the goals, and how many steps it took.
+
+    The steps are those of `operation` with one normal matrix for several, and none of them raises the energy. With more
+    parameters than MOST nothing is done.
+
+    Args:
+        operation: Where the surface is to be.
+        field: In float64.
+        enough: Energy at which no more steps are taken.
+    """
+    left, taken, damping = operation.left(field), 0, operation.firmness * FIRST_DAMPING
+    energy = left.energy()
+    for number in range(MATRICES if len(field.theta) <= MOST else 0):
+        if energy <= enough:
+            break
+        system, begun = _Normal.of(operation, field, left, operation.seed + number), energy
+        for _ in range(STEPS):
+            step = system.step(left, damping)
+            tried = None if step is None else field.with_theta(field.theta + step)
+            after = None if tried is None else operation.left(tried)
+            if tried is None or after is None or not after.energy() < energy:
+                damping *= 10
+                continue
+            stalled = after.energy() > LEFT * energy
+            field, left, energy, taken = tried, after, after.energy(), taken + 1
+            if stalled or energy <= enough:
+                break
+        if energy > WORTH * begun:
+            break
+        damping = max(damping / 10, LEAST_DAMPING)
+    return field, taken
+
+
+@dataclass(frozen=True, eq=False)
+class _Normal:
+    """The normal matrix of a step, to serve several.
+
+    Attributes:
+        matrix: Its lower triangle, in single precision (P, P).
+        rows: Motion of the vertices along their normals by each parameter (V, P), in single precision.
+        away: Sum over what is asked off the surface, at the first of the steps (P,).
+    """
+
+    matrix: Float[Tensor, "p p"]
+    rows: Float[Tensor, "v p"]
+    away: Float[Tensor, " p"]
+
+    @classmethod
+    def of(cls, operation: TowardsPoints, field: Field, left: RigidityTarget, seed: int) -> _Normal:
+        """Return that of a field and what is left of its way."""
+        single = field.to(torch.float32)
+        space = DeformationSpace(single)
+        rows = torch.cat([part for _, part in space.normal_rows(left.points.to(single.theta))])
+        matrix = rows.new_zeros(space.size, space.size)
+        add_gram(matrix, torch.from_numpy(left.factor.astype(np.float32) @ rows.cpu().numpy()))
+        here = SurfaceSample(*(part.to(single.theta) for part in (left.points, left.normals, operation.weights)))
+        strength = OFF_SURFACE_STRENGTH / float(operation.weights.mean())
+        target = off_surface(
+            single, here, left.gaps.to(single.theta), strength=strength, points=OFF_SURFACE_POINTS, seed=seed
+        )
+        away = rows.new_zeros(space.size)
+        for part in target.rows(space):
+            add_gram(matrix, part.rooted())
+            away += part.matrix.T @ (part.weights * part.target)
+        return cls(matrix, rows, away)
+
+    def step(self, left: RigidityTarget, damping: float) -> Float[Tensor, " p"] | None:
+        """Return the change of the parameters, in float64; None where it cannot be told."""
+        bent = torch.from_numpy(left.metric @ left.gaps.cpu().numpy()).to(self.rows)
+        asked = (self.rows.T @ bent + self.away).double().cpu().numpy()
+        lower = self.matrix.double().cpu().numpy()
+        lower[np.diag_indices_from(lower)] += damping * np.trace(lower)
+        # The triangle below the diagonal is the upper one of the Fortran-ordered view.
+        factor, failed = lapack.dpotrf(lower.T, lower=0, overwrite_a=1)
+        if failed:
+            return None
+        found, failed = lapack.dpotrs(factor, asked, lower=0)
+        return None if failed or not np.isfinite(found).all() else torch.from_numpy(found).to(left.gaps)

@@ -65,6 +65,10 @@ class EditStatus(Enum):
         "All steps were taken, but pieces of the surface have merged or vanished, or handles have opened or closed; "
         "see the notes."
     )
+    SELF_CROSSING = (
+        "Stopped before the field was changed: the points of least energy pass through each other, which no field can "
+        "show; see the notes."
+    )
     UNSTABLE = "Stopped because the steps grew beyond what a linear prediction holds for; take smaller steps."
 
 
@@ -199,16 +203,17 @@ def reached_target(edit: Edit) -> bool:
     return bool((error[targeted] * edit.weights[targeted].sqrt()).norm() <= allowed)
 
 
-def with_evidence(edit: Edit, field: Field, before: Soundness, resolution: int) -> Edit:
+def with_evidence(edit: Edit, field: Field, before: Soundness, resolution: int, after: Soundness | None = None) -> Edit:
     """Return the edit with how sound its field was and is, in numbers and in words.
 
     Args:
         field: At the start.
         before: How sound it was.
         resolution: Cells along the longest side of the bounds.
+        after: How sound the edited field is, where that has been measured; None measures it.
     """
     try:
-        after = field_soundness(edit.field, resolution)
+        after = field_soundness(edit.field, resolution) if after is None else after
     except SurfaceError as error:
         notes = (*edit.notes, f"The edited field cannot be meshed as it is: {error}")
         return replace(edit, before=before, notes=notes, status=edit_status(edit.status, meshed=False))

@@ -44,8 +44,13 @@ BAND = 0.01
 # A field whose slope on its surface is that near to 1, at the 5th and 95th percentile, is taken for a distance.
 DISTANCE_SLOPE = 0.25
 
-# Largest learning rates of linear layers and of all else.
+# Largest learning rates of linear layers and of all else, and those where the surface starts within NEARBY of where it
+# is to be (root mean square over the field's size): there the larger ones only stir up what is in place already. On the
+# bundled cow pulled by 15 % they leave the same strain after 150 steps, and two thirds of it after 150 steps and two
+# steps of boundary sensitivity.
 RATES = (3e-3, 3e-3)
+RATES_NEARBY = (1e-3, 1e-3)
+NEARBY = 0.015
 
 # Root mean square distance of the surface from where it is to be, over the field's size, up to which it has followed.
 FOLLOWED = 2e-3
@@ -170,12 +175,19 @@ class Follower:
         self._subject = StartedField(field.with_theta(start.theta), middle, half)
         self._subject.require_derivatives((self._wanted.points[: min(batch, 16)] - middle) / half)
         self._learner = _Wanted(self._subject, self._wanted, batch, half)
+        apart, _, _ = surface_miss(field.with_theta(start.theta), self._wanted)
+        self._rates = RATES_NEARBY if apart <= NEARBY * field.size else RATES
         self._steps = 0
+
+    @property
+    def crossed(self) -> float:
+        """Part of the wanted surface that lies inside another part of it."""
+        return self._wanted.crossed
 
     def train(self, steps: int, progress: Callable[[int, int, float], None] | None = None) -> tuple[Field, Following]:
         """Return the field after so many steps more, and how near it came; the learning rate rises and falls once."""
         generator = torch.Generator().manual_seed(self._seed + self._steps)
-        run = TrainingRun(self._learner, generator, Schedule(steps, *RATES))
+        run = TrainingRun(self._learner, generator, Schedule(steps, *self._rates))
         status = run.train(progress)
         self._steps += run.step
         found = self._subject.field(self._field.bounds)

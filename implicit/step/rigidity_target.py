@@ -55,7 +55,7 @@ class RigidityTarget:
         return sparse.csc_array((total + total.T) / 2)
 
     @cached_property
-    def _factor(self) -> sparse.csr_array:
+    def factor(self) -> sparse.csr_array:
         """U (V, V) with U^T U the metric."""
         M = sparse.csc_array(self.metric + LEAST * self.metric.diagonal().max() * sparse.eye_array(len(self.points)))
         lu = splu(M, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
@@ -70,6 +70,6 @@ class RigidityTarget:
     def rows(self, space: DeformationSpace) -> Iterator[Rows]:
         """Yield one weighted equation a vertex over the unknowns of the normal part."""
         rows = torch.cat([part for _, part in space.normal_rows(self.points)])
-        matrix = torch.from_numpy(self._factor @ rows.double().cpu().numpy()).to(rows)
-        target = torch.from_numpy(self._factor @ self.gaps.double().cpu().numpy()).to(rows)
+        matrix = torch.from_numpy(self.factor @ rows.double().cpu().numpy()).to(rows)
+        target = torch.from_numpy(self.factor @ self.gaps.double().cpu().numpy()).to(rows)
         yield Rows(matrix, target, torch.ones_like(target))

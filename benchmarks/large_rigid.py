@@ -1,0 +1,155 @@
+"""Large rigid motions of fields beside converged ARAP on the mesh: distance, energy, pieces, seconds.
+
+`python -m benchmarks.large_rigid SCENE...` prints rows of the table of docs/rigid.md; scenes of meshes that are not
+bundled need --meshes, the folder that has them, and fit a network first.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import torch
+
+import implicit
+import meshref
+from compare.cases.case import Case
+from compare.cases.default_cases import default_cases
+from compare.cases.subject import Subject
+from compare.paper.rigid_bends import BAR, STAGES, arap_way, turning_handles
+from compare.runs.operations import target_motion
+from compare.runs.subject import prepare_subject
+
+CELLS = 128  # at which the edited surface is extracted and its pieces are counted
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One large motion of a shape.
+
+    Attributes:
+        name: In words.
+        case: Its handles.
+        subject: The field and its common mesh.
+        stages: Parts of ARAP's way.
+    """
+
+    name: str
+    case: Case
+    subject: Subject
+    stages: int
+
+    def handles(self) -> list[implicit.Handle]:
+        return [spec.build() for spec in self.case.handles]
+
+    def arap(self) -> meshref.ArapResult:
+        """Return converged ARAP on the common mesh."""
+        held = np.flatnonzero(target_motion(self.case, self.subject).at)
+        *way, goal = arap_way(self.subject, self.case, self.stages)
+        return meshref.arap(self.subject.V, self.subject.F, held, goal, way=way)
+
+    def edit(self, **options: Any) -> tuple[implicit.Edit, float]:
+        """Return the edit, with the common mesh tracked, and its processor seconds."""
+        clock = time.process_time()
+        found = implicit.rigid_edit(
+            self.subject.field, self.handles(), track=torch.from_numpy(self.subject.V), **options
+        )
+        return found, time.process_time() - clock
+
+    def row(self, edit: implicit.Edit, arap: meshref.ArapResult) -> dict[str, Any]:
+        """Return how far an edit is from ARAP, over the longest side, its energy over ARAP's, and its pieces."""
+        V, F = self.subject.V, self.subject.F
+        box = float(np.ptp(V, axis=0).max())
+        surface = implicit.extract_mesh(edit.field, CELLS)
+        target = target_motion(self.case, self.subject)
+        moved = edit.tracked.double().cpu().numpy()
+        missed = (moved - V - target.displacement)[target.at]
+        parts = implicit.mesh_topology(*surface)
+        return {
+            "H": meshref.hausdorff(*surface, arap.V, F) / box,
+            "rest": meshref.hausdorff(*implicit.extract_mesh(self.subject.field, CELLS), V, F) / box,
+            "E": meshref.arap_energy(V, F, moved) / arap.energy,
+            "pieces": parts.components,
+            "Euler": parts.euler,
+            "handles": float(np.sqrt((missed**2).sum(axis=1).mean())) / box,
+            "volume": meshref.volume(*surface) / meshref.volume(V, F) - 1,
+        }
+
+
+def bend(folder: Path | None, degrees: float = 90.0) -> Scene:
+    subject = prepare_subject(Case("cactus", "smooth"))
+    case = Case("cactus", "rigid", turning_handles(subject, "bend", degrees))
+    return Scene(f"cactus, {degrees:.3g} degrees", case, subject, STAGES)
+
+
+def pull(folder: Path | None) -> Scene:
+    subject = prepare_subject(Case("spot", "smooth"))
+    (case,) = default_cases("spot", subject.V, subject.N, operations=("rigid",))
+    return Scene("spot, pull of 15 %", case, subject, 1)
+
+
+def twist(folder: Path | None, degrees: float = 135.0, sides: tuple[float, ...] = BAR, width: int = 32) -> Scene:
+    """A bar of softplus units, one end turned about its axis: sines do not turn their edges."""
+    V, F = meshref.box(upper=sides, subdivisions=3)
+    with TemporaryDirectory() as here:
+        path = Path(here) / "bar.off"
+        meshref.write_mesh(path, V, F)
+        fit = {"activation": "softplus", "width": width}
+        subject = prepare_subject(Case(str(path), "smooth", fit=fit))
+        case = Case(str(path), "rigid", turning_handles(subject, "twist", degrees))
+        return Scene(f"bar, {degrees:.3g} degrees, width {width}", case, subject, max(STAGES, round(degrees / 20)))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("scenes", nargs="*", choices=[[], *SCENES], default=["pull", "bend"], metavar="SCENE")
+    parser.add_argument("--meshes", type=Path, help="folder of armadillo.obj, dino.off and knight.off")
+    parser.add_argument("--volume", action="store_true", help="hold the volume")
+    parser.add_argument("--area", action="store_true", help="hold the area")
+    parser.add_argument("--method", choices=["auto", "finite", "linear", "coupled"], default="auto")
+    given = parser.parse_args()
+    held = [make() for make, asked in ((implicit.Volume, given.volume), (implicit.Area, given.area)) if asked]
+    print(
+        "| scene | H, % | E | pieces, Euler | handles, rms % | volume, % | processor s |\n|---|---|---|---|---|---|---|"
+    )
+    for name in given.scenes:
+        scene = SCENES[name](given.meshes)
+        edit, seconds = scene.edit(method=given.method, constraints=held)
+        row = scene.row(edit, scene.arap())
+        print(
+            f"| {scene.name} | {row['H']:.2%} ({row['rest']:.2%}) | {row['E']:.3f} | {row['pieces']}, {row['Euler']}: "
+            f"{edit.status.name} | {row['handles']:.3%} | {row['volume']:.2%} | {seconds:.1f} |",
+            flush=True,
+        )
+        for note in edit.notes:
+            print(f"  {note}", flush=True)
+        steps = [
+            {
+                key: row.get(key)
+                for key in (
+                    "seconds_points",
+                    "seconds_field",
+                    "seconds",
+                    "iterations",
+                    "follow_steps",
+                    "miss_rms",
+                    "energy",
+                    "strain_left",
+                    "constraint_gap",
+                )
+            }
+            for row in edit.history
+        ]
+        print("  ", steps, flush=True)
+
+
+SCENES: dict[str, Callable[[Path | None], Scene]] = {"pull": pull, "bend": bend, "twist": twist}
+
+if __name__ == "__main__":
+    main()
