@@ -19,6 +19,7 @@ from implicit.edits.tangential_motion import ConstantNormals, NearIsometric
 
 # Smoothing and other flows [section 4.4]
 from implicit.edits.smoothing import Until, explicit_step_limit, smooth
+from implicit.edits.converged_smoothing import ConvergedSmoothing, converged_smooth
 from implicit.edits.flows import Bending, MeanCurvature, Offset
 
 # What an edit asks for, what it holds, and what it gives back
@@ -63,7 +64,8 @@ __all__ = [
     "geometric_edit", "expressibility", "Expressibility", "Verdict",
     "semantic_edit", "prescribe", "CodePrior",
     "rigid_edit", "trained_rigid_step", "TrainedStep", "LearnedFeatures", "ConstantNormals", "NearIsometric",
-    "smooth", "Until", "explicit_step_limit", "MeanCurvature", "Bending", "Offset",
+    "smooth", "converged_smooth", "ConvergedSmoothing", "Until", "explicit_step_limit",
+    "MeanCurvature", "Bending", "Offset",
     "Handle", "Along", "RigidMotion", "Ball", "Box", "HalfSpace", "NearPoints", "Region",
     "Holding", "Edit", "EditStatus",
     "basis", "normal_displacement", "adjoint", "basis_function", "BasisFunction", "one_weight_per_layer",

@@ -65,6 +65,7 @@ from meshref.factor import NotPositiveDefiniteError
 from meshref.primitives import box, cylinder, icosphere, torus
 from meshref.meshlab import (
     MeshlabDistance,
+    decimate,
     hausdorff_distance,
     isotropic_remesh,
     laplacian_smooth,
@@ -85,5 +86,5 @@ __all__ = [
     "sample_mesh", "MeshSample",
     "check_mesh", "MeshError", "NotPositiveDefiniteError", "mend_mesh", "MendReport", "read_mesh", "write_mesh",
     "icosphere", "torus", "box", "cylinder",
-    "laplacian_smooth", "taubin_smooth", "isotropic_remesh", "hausdorff_distance", "MeshlabDistance",
+    "laplacian_smooth", "taubin_smooth", "isotropic_remesh", "decimate", "hausdorff_distance", "MeshlabDistance",
 ]  # fmt: skip

@@ -85,6 +85,25 @@ def isotropic_remesh(
     return _filtered(V, F, "meshing_isotropic_explicit_remeshing", **options)
 
 
+def decimate(V: ArrayLike, F: ArrayLike, faces: int) -> tuple[FloatArray, IntArray]:
+    """Return a mesh of about so many faces, its edges collapsed where that moves the surface least.
+
+    Args:
+        V: Vertices, (n, 3).
+        F: Faces, (m, 3).
+        faces: Number of faces to come down to; a closed mesh keeps half as many vertices.
+
+    Raises:
+        MeshError: check_mesh refuses the mesh, the number is not positive, or pymeshlab is missing or fails.
+
+    Source: Garland and Heckbert, "Surface simplification using quadric error metrics", 1997.
+    """
+    V, F = check_mesh(V, F)
+    require_whole("faces", faces, 4)
+    options = {"targetfacenum": int(faces), "preservetopology": True, "preservenormal": True, "qualitythr": 0.3}
+    return _filtered(V, F, "meshing_decimation_quadric_edge_collapse", **options)
+
+
 def hausdorff_distance(V1: ArrayLike, F1: ArrayLike, V2: ArrayLike, F2: ArrayLike, n: int = 20_000) -> MeshlabDistance:
     """Return MeshLab's sampled distance, both ways: its filter goes one way only, and from the vertices by default.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import timedelta
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,9 +15,14 @@ from compare.commands import exits
 from compare.commands.checks import require_folder_for
 from compare.commands.shown import add_task, advance, print_json, print_table, progress_bars, speaker, teller
 from compare.errors import InputError
+from compare.files import plain
 from compare.runs.executors import executor_of
 from compare.runs.records import Record
 from compare.studies import study as studies
+from compare.studies.diagram import DiagramRow
+from compare.studies.diagram_page import sentences
+from compare.studies.diagram_run import DIAGRAM_FILE, read_head, run_diagram
+from compare.studies.diagrams import DIAGRAMS
 from compare.studies.study_folder import STUDY_FILE, Begun, finished, run_study
 
 
@@ -54,6 +59,8 @@ def study(command: Study) -> int:
     """Check everything, do what is missing, and say what came of it."""
     if command.list:
         return _list(command.json)
+    if command.name in DIAGRAMS or (Path(command.name) / DIAGRAM_FILE).is_file():
+        return _diagram(command)
     chosen, folder = _chosen(command)
     say = speaker(command.quiet, to_stderr=True)
     with progress_bars(command.quiet) as bars, executor_of(command.workers, command.dask) as executor:
@@ -90,7 +97,7 @@ def study(command: Study) -> int:
 def _chosen(command: Study) -> tuple[studies.Study, Path]:
     """Return the study that is meant, and its folder."""
     if not command.name:
-        raise InputError(f"Name a study: {', '.join(studies.built_in())}, or a file ending in .toml.")
+        raise InputError(f"Name a study: {', '.join([*studies.built_in(), *DIAGRAMS])}, or a file ending in .toml.")
     if command.name not in studies.built_in() and (Path(command.name) / STUDY_FILE).is_file():
         if command.shapes or command.quick or command.no_meshes or command.output:
             raise InputError(f"{command.name} holds a study with its own settings. Leave the options for it out.")
@@ -105,8 +112,56 @@ def _chosen(command: Study) -> tuple[studies.Study, Path]:
     return chosen, folder
 
 
+def _diagram(command: Study) -> int:
+    """Measure a diagram, or what is missing of it, and say who is cheaper where."""
+    if command.workers or command.dask or command.module:
+        raise InputError(
+            "A diagram is of seconds: its points are measured one after another here. Leave the option out."
+        )
+    name, shapes, quick, folder = _chosen_diagram(command)
+    diagram, say = DIAGRAMS[name], speaker(command.quiet, to_stderr=True)
+    with progress_bars(command.quiet) as bars:
+        total, current = add_task(bars, name, None), add_task(bars, "", None)
+
+        def on_row(row: DiagramRow, number: int, count: int) -> None:
+            if bars is not None:
+                bars.update(total, total=count, completed=number)
+                if not bars.console.is_terminal:  # a log, in which bars do not move
+                    say(f"{number} of {count}: {row.key}{'. ' + row.status if row.failed else ''}")
+
+        tell = teller(bars, current)
+        rows = run_diagram(diagram, folder, shapes=shapes, quick=quick, progress=tell, on_row=on_row)
+    if command.json:
+        import json
+
+        print("\n".join(json.dumps(plain(asdict(row))) for row in rows))
+    elif not command.quiet:
+        print("\n".join(sentences(diagram, rows)))
+        print(f"{folder}: report.html, chart.svg, chart.png and chart.pdf, and table.csv.")
+    return exits.FAILED if any(row.failed for row in rows) else exits.DONE
+
+
+def _chosen_diagram(command: Study) -> tuple[str, tuple[str, ...], bool, Path]:
+    """Return the name of the diagram that is meant, its shapes, whether it is the quick one, and its folder."""
+    name, shapes, quick = command.name, command.shapes, command.quick
+    folder = command.output or Path("results") / (name + ("-quick" if quick else ""))
+    if name not in DIAGRAMS:
+        if shapes or quick or command.output:
+            raise InputError(f"{name} holds a diagram with its own settings. Leave the options for it out.")
+        folder = Path(name)
+        head = read_head(folder)
+        name, shapes, quick = str(head["diagram"]), tuple(head["shapes"]), bool(head["quick"])
+        if name not in DIAGRAMS:
+            raise InputError(f"{folder} holds a diagram {name}, but there are {', '.join(DIAGRAMS)}.")
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"The output {folder} is a file, but a diagram is written to a folder. Name another.")
+    require_folder_for(folder)
+    return name, shapes, quick, folder
+
+
 def _list(as_json: bool) -> int:
     rows = {name: study.title for name, study in studies.built_in().items()}
+    rows |= {name: diagram.title for name, diagram in DIAGRAMS.items()}
     if as_json:
         import json
 

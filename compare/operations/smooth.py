@@ -2,16 +2,19 @@
 
 | neural field | mesh |
 |---|---|
-| implicit.smooth with Volume() held | meshref.converged_curvature_flow, its volume held by a uniform normal speed |
+| implicit.converged_smooth, Volume() held | meshref.converged_curvature_flow, held by a uniform normal speed |
 
-Both follow dx/dt = (mean kappa - kappa) n for the same time, the mesh in as many steps as it takes for their number not
-to matter. The conformalised flow, rescaled to its volume, is another equation: it stands beside under its own name. A
-case that names a flow of the mesh (its method, what keeps its volume, its cotangents) has that one, in its own steps.
+Both follow dx/dt = (mean kappa - kappa) n for the same time, each in as many steps as it takes for their number not to
+matter, or in so many that are allowed; what their number still does is estimated on both sides. The conformalised flow,
+rescaled to its volume, is another equation: it stands beside under its own name. A case that names a flow of the mesh
+(its method, what keeps its volume, its cotangents) has that one, in its own steps.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from math import isfinite
 from time import perf_counter
 from typing import Any
 
@@ -44,7 +47,11 @@ class Smooth(Operation):
     takes_handles = False
     settings = ("steps", "step_size")
     full: Mapping[str, Any] = {"steps": 8, "step_size": 1e-3, "implicit": {"points": 2000}}
-    quick: Mapping[str, Any] = {"steps": 4, "step_size": 1e-3, "implicit": {"points": 500, "resolution": 32}}
+    quick: Mapping[str, Any] = {
+        "steps": 4,
+        "step_size": 1e-3,
+        "implicit": {"points": 500, "resolution": 32, "most_steps": 4},
+    }
     error_means = "motion along the normal minus that of the other representation"
     headline = Headline("volume_drift", "volume {}")
 
@@ -54,15 +61,36 @@ class Smooth(Operation):
         import meshref
 
         flows = (meshref.converged_curvature_flow, meshref.mean_curvature_flow)
-        return {"implicit": (implicit.smooth,), "mesh": flows}
+        return {"implicit": (implicit.smooth, implicit.converged_smooth), "mesh": flows}
 
     def edit_field(self, case: Case, subject: Subject, progress: Progress | None = None) -> Outcome:
         """Smooth the field with its volume held."""
         import implicit
         from compare.operations.neural import run_edit
+        from implicit.renamed import current_names
 
-        volume, method = (implicit.Volume(),), "curvature flow, volume held"
-        return run_edit(implicit.smooth, case, subject, method, progress, constraints=volume, **_steps(case))
+        steps, step_size = (case.parameters[name] for name in Smooth.settings)
+        time, found = steps * step_size, []
+
+        def flow(field: implicit.Field, **options: Any) -> implicit.Edit:
+            options = current_names(implicit.smooth, options)
+            found.append(implicit.converged_smooth(field, time=time, steps=steps, **options))
+            return found[-1].edit
+
+        method = "curvature flow, volume held"
+        outcome = run_edit(flow, case, subject, method, progress, constraints=(implicit.Volume(),))
+        flowed, scale = found[-1], subject.scale
+        status = outcome.status
+        if outcome.complete and not flowed.converged:
+            status = _not_converged(flowed.time_error_max * scale)
+        every = max(1, flowed.steps // steps)
+        details = {
+            **outcome.details,
+            "time_error_rms": flowed.time_error_rms * scale,
+            "time_error_max": flowed.time_error_max * scale,
+            "area_error": flowed.area_error * scale**2,
+        }
+        return replace(outcome, status=status, path=list(outcome.path)[every - 1 :: every], details=details)
 
     def mesh_editors(self) -> Mapping[str, Editor]:
         """Return the same flow on the mesh, and the conformalised one."""
@@ -75,6 +103,12 @@ class Smooth(Operation):
 
 def _steps(case: Case) -> dict[str, Any]:
     return {name: case.parameters[name] for name in Smooth.settings}
+
+
+def _not_converged(error: float) -> str:
+    if not isfinite(error):
+        return "All steps were taken, but nothing tells what twice as many would change."
+    return f"All steps were taken, but twice as many may move it by {error:.2g}."
 
 
 def _flow(case: Case, subject: Subject, target: Target, progress: Progress | None = None) -> Outcome:
@@ -98,7 +132,7 @@ def _flow(case: Case, subject: Subject, target: Target, progress: Progress | Non
     finished = flow.status is meshref.FlowStatus.FINISHED
     status = flow.status.value
     if finished and not found.converged:
-        status = f"All steps were taken, but twice as many may move it by {found.time_error_max * subject.scale:.2g}."
+        status = _not_converged(found.time_error_max * subject.scale)
     every = found.steps // steps
     path = [Halfway(V - subject.V, flow.history[k * every].seconds) for k, V in enumerate(flow.snapshots[1:], start=1)]
     if finished:
