@@ -24,13 +24,13 @@ from numpy import ndarray
 from compare.cases.handles import HandleSpec
 from compare.operations.operation import operation_of
 from compare.reports.arrows import arrows_of
+from compare.reports.azimuth import azimuth_of
 from compare.reports.pyvista_painter import paint_with_pyvista, pyvista_trouble
 from compare.reports.views import (
     PANES,
     Camera,
     ColourRange,
     View,
-    azimuth_of,
     colour_range,
     load_views,
     simplified,

@@ -1,4 +1,4 @@
-"""What was found, in sentences: for each case what was asked, who came how near, at which cost, and what to mind."""
+"""Findings in sentences: for each case what was asked, who came how near, at which cost, and what to mind."""
 
 from __future__ import annotations
 

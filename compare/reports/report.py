@@ -133,7 +133,8 @@ def _looks(records: Sequence[Record], folder: Path, up: str) -> list[tuple[Recor
 
     A case without handles is seen as the others of its shape.
     """
-    from compare.reports.views import Up, azimuth_of, up_of
+    from compare.reports.azimuth import azimuth_of
+    from compare.reports.views import Up, up_of
 
     found, of_shape = [], {}
     for record in records:

@@ -10,15 +10,12 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
-from scipy.spatial import cKDTree
 
-import meshref
 from compare.operations.operation import operation_of
 from compare.runs.records import Record
 
 PANES = {"before": "before", "implicit": "neural field", "mesh": "mesh"}  # of a still picture
 ELEVATION = 20.0  # degrees above the horizon, of the first look at a shape
-FIRST_AZIMUTH = 30.0  # degrees, where nothing says from where to look
 
 Up = Literal["x", "y", "z"]
 
@@ -62,6 +59,8 @@ def read_view(path: Path) -> View:
     """
     if not path.is_file():
         raise FileNotFoundError(f"There is no {path}, though results.jsonl names it. Run the case again.")
+    import meshref
+
     V, F = meshref.read_mesh(path)
     content = path.read_bytes()
     header, body = content.split(b"end_header\n", 1)
@@ -76,6 +75,8 @@ def simplified(view: View, faces: int) -> View:
     """Return the view with at most so many faces; each new vertex takes the number of the nearest old one."""
     if len(view.F) <= faces:
         return view
+    from scipy.spatial import cKDTree
+
     V, F = _simplified(view, faces)
     return View(V, F, view.values[cKDTree(view.V).query(V)[1]])
 
@@ -85,6 +86,8 @@ def simplified_alike(views: Sequence[View], faces: int) -> list[View]:
     first = views[0]
     if len(first.F) <= faces:
         return list(views)
+    from scipy.spatial import cKDTree
+
     V, F = _simplified(first, faces)
     kept = cKDTree(first.V).query(V)[1]
     return [View(view.V[kept], F, view.values[kept]) for view in views]
@@ -100,30 +103,6 @@ def _simplified(view: View, faces: int) -> tuple[Float[ndarray, "n 3"], Int[ndar
 def up_of(shape: str) -> Up:
     """Return the axis that points up in a shape's file, as its format has it; y where it says nothing."""
     return "z" if Path(shape).suffix.lower() in Z_IS_UP else "y"
-
-
-def azimuth_of(records: Sequence[Record], folder: Path, up: Up = "y") -> float:
-    """Degrees about the axis that is up, from where what moves is seen, and how it moves: not towards the viewer."""
-    from compare.reports.arrows import arrows_of
-
-    angles = 15.0 * np.arange(24)
-    axes = np.stack([Camera(angle, ELEVATION, up).axes() for angle in angles])
-    seen, across = np.zeros(24), np.zeros(24)
-    for record in records:
-        moves = [0, *(0 if handle.holds else 1 for handle in record.case.handles)]
-        if any(moves):
-            view = read_view(folder / record.artefacts["before"].path)
-            face = np.array(moves)[view.values.astype(int)][view.F].all(axis=1)
-            corners = view.V[view.F[face]]
-            areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-            visible = np.clip(areas @ axes[:, 2].T, 0, None).sum(axis=0)
-            seen += visible / max(float(visible.max()), 1e-300)
-            for start, end in arrows_of(record, view):
-                on_screen = np.linalg.norm(axes[:, :2] @ (end - start), axis=1)
-                across += on_screen / max(float(np.linalg.norm(end - start)), 1e-300)
-    if not seen.any():
-        return FIRST_AZIMUTH
-    return float(angles[np.argmax(seen / seen.max() + across / max(float(across.max()), 1e-300))])
 
 
 def motion_of(record: Record) -> float | None:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from compare.files import replace_file
-from compare.runs.columns import SIDE_COLOURS, SIDES, column_of, columns, number
+from compare.runs.columns import SIDE_COLOURS, SIDES, column_of, number
 from compare.runs.records import Record
 from compare.studies.study import Chart, Study, settings_at
 
