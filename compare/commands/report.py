@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import tyro
 
@@ -16,7 +17,9 @@ class Report:
     """Write report.html of a run folder again."""
 
     folder: tyro.conf.Positional[Path]
-    """What `run` wrote."""
+    """What `run` or `study` wrote."""
+    up: Literal["auto", "x", "y", "z"] = "auto"
+    """Axis that points up; auto is z for .stl and .3mf and y for all else."""
 
 
 def report(command: Report) -> int:
@@ -24,7 +27,7 @@ def report(command: Report) -> int:
     from compare.reports.report import report as write_report
 
     try:
-        page = write_report(latest(command.folder), command.folder / "report.html")
+        page = write_report(latest(command.folder), command.folder / "report.html", up=command.up)
     except (FileNotFoundError, ValueError) as error:
         raise InputError(str(error)) from error
     print(page)

@@ -64,6 +64,8 @@ class Run:
     """Longest way round a hole of a mesh that is closed, in diagonals of its box."""
     budget: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
     """Seconds in which the fit of a mesh that is below the stated quality begins anew, twice as wide each time."""
+    up: Literal["auto", "x", "y", "z"] = "auto"
+    """Axis that points up in the report; auto is z for .stl and .3mf and y for all else."""
     seed: int = 0
     """Of every random choice."""
     module: Annotated[str | None, tyro.conf.arg(metavar="FILE.py:FUNCTION")] = None
@@ -98,6 +100,7 @@ def run(command: Run) -> int:
     mended = say_mending(say, command.shapes, lambda name: check_shape(name, modules[name], mending))
 
     from compare.reports.report import report as write_report
+    from compare.reports.table import FILE as TABLE, write_table
     from compare.runs.run import run_cases
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -122,12 +125,13 @@ def run(command: Run) -> int:
         except KeyboardInterrupt:
             on = f"What is done is kept; the same command with --resume -o {folder} goes on with the rest."
             raise KeyboardInterrupt(on) from None
-    page = write_report(records, folder / "report.html")
+    write_table(records, folder / TABLE)
+    page = write_report(records, folder / "report.html", up=command.up)
     if command.json:
         print_json(records)
     elif not command.quiet:
         print_table(records, said=mended)
-        say(f"{folder}: {FILE}, edited fields, meshes, and {page.name} to open in a browser.")
+        say(f"{folder}: {FILE}, {TABLE}, edited fields, meshes, and {page.name} to open in a browser.")
     return FAILED if any(record.failed for record in records) else 0
 
 

@@ -87,6 +87,11 @@ class Column:
     percent: bool = False
     brief: bool = True  # whether the table of a terminal, 80 characters wide, has it
     label: str = ""  # what a chart calls it, where there is more room; empty is the title
+    unit: str = ""  # of the number; "%" where it is a share
+
+    def __post_init__(self) -> None:
+        if self.percent and not self.unit:
+            object.__setattr__(self, "unit", "%")
 
 
 @dataclass(frozen=True)

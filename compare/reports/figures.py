@@ -1,7 +1,7 @@
 """Still pictures of a run, by pyvista where it can draw, otherwise by shaded triangles painted from the back.
 
 A picture has a row for each operation and the columns before, neural field, mesh. Before shows the handles; the two
-results show the error, on one colour range about zero that they share.
+results show the error, on one colour range that they share.
 """
 
 from __future__ import annotations
@@ -17,14 +17,25 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import Normalize, to_rgb
+from matplotlib.colors import ListedColormap, Normalize, to_hex, to_rgb
 from matplotlib.figure import Figure
 from numpy import ndarray
 
 from compare.cases.handles import HandleSpec
 from compare.operations.operation import operation_of
+from compare.reports.arrows import arrows_of
+from compare.reports.azimuth import azimuth_of
 from compare.reports.pyvista_painter import paint_with_pyvista, pyvista_trouble
-from compare.reports.views import PANES, Camera, View, azimuth_of, colour_limit, load_views, simplified
+from compare.reports.views import (
+    PANES,
+    Camera,
+    ColourRange,
+    View,
+    colour_range,
+    load_views,
+    simplified,
+    up_of,
+)
 from compare.runs.columns import column_of, error_label, number, text
 from compare.runs.records import Record
 
@@ -32,6 +43,10 @@ Painter = Literal["auto", "pyvista", "matplotlib"]
 
 # Moreland's map, made for shaded surfaces: diverging about zero, even in lightness on both sides.
 COLOURS = "coolwarm"
+Colours = tuple[float, float]  # the part of the map that a range has, from its low end to its high one
+ABOUT_ZERO: Colours = (0.0, 1.0)
+FROM_ZERO: Colours = (0.5, 1.0)  # zero is the same grey in both
+ARROW = {"arrowstyle": "->", "lw": 1.4, "shrinkA": 0, "shrinkB": 0}
 SURFACE, HELD, MOVED = to_rgb("#c9ccd1"), to_rgb("#4c72b0"), to_rgb("#dd8452")
 
 
@@ -104,12 +119,13 @@ def picture(
 ) -> Figure:
     """Return the rows of before, neural field and mesh, a record each."""
     draw = paint_with_pyvista if painter == "pyvista" else paint
-    camera = camera or Camera(azimuth_of(records, folder))
+    up = up_of(records[0].case.shape)
+    camera = camera or Camera(azimuth_of(records, folder, up), up=up)
     figure = Figure(figsize=(8.6, 2.75 * len(records)), layout="constrained")
     grid = figure.subplots(len(records), 3, squeeze=False)
     for row, record in zip(grid, records, strict=True):
-        views = load_views(record, folder)
-        limit = colour_limit([views["implicit"], views["mesh"]])
+        views = {name: view for name, view in load_views(record, folder).items() if name in PANES}
+        colours = colour_range(record, [views["implicit"], views["mesh"]])
         for axes, (name, view) in zip(row, views.items(), strict=True):
             if name == "before":
                 draw(axes, view, _handle_colours(view, record.case.handles), camera)
@@ -117,15 +133,14 @@ def picture(
                 title = f"{record.case.name}, {record.case.operation}"
             else:
                 view = simplified(view, 20_000)
-                draw(axes, view, _error_colours(view, limit), camera)
+                draw(axes, view, _error_colours(view, colours), camera)
                 title = f"{PANES[name]}: {_headline(record, name)}"
             axes.set_title(title, fontsize=8)
         _same_frame(row)
-        bar = figure.colorbar(ScalarMappable(Normalize(-limit, limit), COLOURS), ax=list(row[1:]), shrink=0.8, pad=0.01)
+        shown = ScalarMappable(Normalize(colours.low, colours.limit), _map_of(colours))
+        bar = figure.colorbar(shown, ax=list(row[1:]), shrink=0.8, pad=0.01)
         bar.set_label(_wrapped(error_label(record)), fontsize=6)
         bar.ax.tick_params(labelsize=6)
-        if min(float(views[side].values.min()) for side in ("implicit", "mesh")) >= 0:  # a strain has no other half
-            bar.ax.set_ylim(0, limit)
     return figure
 
 
@@ -156,22 +171,34 @@ def _handle_colours(view: View, handles: Sequence[HandleSpec]) -> Float[ndarray,
     return palette[view.values.astype(int)][view.F].mean(axis=1)
 
 
-def _error_colours(view: View, limit: float) -> Float[ndarray, "m 3"]:
-    return colormaps[COLOURS](Normalize(-limit, limit)(view.values[view.F].mean(axis=1)))[:, :3]
+def _error_colours(view: View, colours: ColourRange) -> Float[ndarray, "m 3"]:
+    values = np.nan_to_num(view.values[view.F].mean(axis=1))
+    return _map_of(colours)(Normalize(colours.low, colours.limit)(values))[:, :3]
+
+
+def _map_of(colours: ColourRange) -> ListedColormap:
+    return ListedColormap(colours_of(FROM_ZERO if colours.one_sided else ABOUT_ZERO, np.linspace(0, 1, 257)))
+
+
+def colours_of(part: Colours, shares: Float[ndarray, " n"]) -> Float[ndarray, "n 3"]:
+    """Return the colours (red, green, blue from 0 to 1) at shares of a range, 0 its low end and 1 its high one."""
+    return colormaps[COLOURS](part[0] + (part[1] - part[0]) * shares)[:, :3]
+
+
+def css_gradient(part: Colours) -> str:
+    """Return a range of colours as the background of an element of a page."""
+    stops = colours_of(part, np.linspace(0, 1, 17))
+    return f"linear-gradient(to right, {', '.join(to_hex(tuple(colour)) for colour in stops)})"
 
 
 def _draw_motion(axes: Axes, view: View, record: Record, camera: Camera) -> None:
-    """Draw an arrow for each handle that is moved by a vector, unless it points too much at the viewer to be seen."""
+    """Draw an arrow for each handle that moves, unless it points too much at the viewer to be seen."""
     screen = camera.axes()[:2]
     size = np.ptp(view.V @ screen.T, axis=0).max()
-    for k, handle in enumerate(record.case.handles, start=1):
-        held = view.V[view.values == k]
-        if handle.motion["kind"] == "vector" and not handle.holds and len(held):
-            start = screen @ held.mean(axis=0)
-            end = start + screen @ np.asarray(handle.motion["vector"]) * float(record.subject.scale)
-            if np.linalg.norm(end - start) < 0.07 * size:
-                continue
-            axes.annotate("", end, start, arrowprops={"arrowstyle": "->", "lw": 1.4}, zorder=5)
+    for ends in arrows_of(record, view):
+        (x, y), (a, b) = ((screen @ end).tolist() for end in ends)
+        if np.hypot(a - x, b - y) > 0.02 * size:
+            axes.annotate("", (a, b), (x, y), arrowprops=ARROW, zorder=5)
 
 
 def _headline(record: Record, side: str) -> str:

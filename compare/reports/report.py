@@ -1,9 +1,9 @@
-"""One HTML file that shows a run: it opens offline and holds all it needs.
+"""One HTML file that shows a run or a study: it opens offline and holds all it needs.
 
-Each case has three views in 3D, before, neural field and mesh, whose cameras move together, with one colour range
-about zero, and its curves over the steps. A browser keeps about 16 drawing contexts, so views are made when they scroll
-into sight, for the nearest few cases at a time, and dropped when they leave it. The files of the run folder are linked
-beside each case.
+It begins with findings in sentences, then numbers by kind of edit, then for each case its meshes in 3D, before and by
+every method, with the outline of what was before, on one colour range, and its curves. All views of the page share one
+drawing context and one camera a case. Vertices are sent as 16-bit whole numbers within the box of their mesh, values as
+16-bit ones of the largest. The files of the run folder are linked beside each case.
 """
 
 from __future__ import annotations
@@ -12,122 +12,186 @@ import base64
 import hashlib
 import json
 from collections.abc import Sequence
+from html import escape
 from os import PathLike
 from pathlib import Path
 from string import Template
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from compare.cases.labels import labels
 from compare.files import plain, replace_file
-from compare.reports.report_parts import CHARTS, curves_of, failures_of, section_of, seen_from, summary_of, table_of
+from compare.operations.operation import operation_of
+from compare.reports.report_parts import (
+    charted_of,
+    failures_of,
+    findings_of,
+    links_of,
+    section_of,
+    seen_from,
+    summary_of,
+    tables_of,
+)
 from compare.runs.records import Record
 
-# Bytes of a face in all three views of a case: 3 corners of 2 bytes, half a vertex of 12 and a value of 4, in base64;
-# and what a report may use of them.
+# Bytes of a face in all views of a case, in base64: half a vertex of 6 bytes and a value of 2 for each method, 3
+# corners of 2 bytes for each of the two meshes; and what a report may use of them.
 BYTES_PER_FACE = 56
-BUDGET = 3_600_000
+BUDGET = 6_000_000
 
 # Faces of a view: more cannot be told apart in a pane, and with fewer a shape is no longer itself.
-MOST_FACES, LEAST_FACES = 20_000, 1000
+MOST_FACES, LEAST_FACES = 12_000, 1000
 
-# The page has one light, from the upper front, so shapes are turned to show it the side that counts.
-AZIMUTH = 25.0
+# Beyond so many cases a section has no list of all numbers and settings, or the page would grow too large.
+MOST_IN_FULL = 150
+
+NO_VALUE = -32768  # of a vertex that has none, among 16-bit values
 
 
-def report(records: Sequence[Record], path: str | PathLike[str], *, folder: str | PathLike[str] | None = None) -> Path:
+def report(
+    records: Sequence[Record],
+    path: str | PathLike[str],
+    *,
+    folder: str | PathLike[str] | None = None,
+    title: str | None = None,
+    up: str = "auto",
+) -> Path:
     """Write the report of some records.
 
-    The page stays below 10 MB: views get coarser the more cases there are, and beyond 64 cases the later ones have
-    their row, curves and files, but no views. Cases without meshes have a row and curves.
+    The page stays below 10 MB: views get coarser the more cases there are, and beyond a hundred cases the later ones
+    have their row, curves and files, but no views. Cases without meshes have a row and curves.
 
     Args:
-        records: Of a run, failed ones among them.
+        records: Of a run or a study, failed ones among them.
         path: The HTML file, replaced if it is there.
         folder: The run folder that holds their meshes; None is where the report goes. Files are linked relative to the
-            page, so the two are to be moved together.
+            page, so the two are to be moved together. Charts in the folder of a study are shown on top.
+        title: Of the page; None is the title of the study that the folder holds, or that of any run.
+        up: Axis that points up: "x", "y", "z", or "auto", which is z for .stl and .3mf and y for all else. The page
+            has buttons to change it.
 
     Returns:
         The path.
 
     Raises:
         FileNotFoundError: A mesh that a record names is gone.
-        ValueError: There are no records.
+        ValueError: There are no records, or up is another word.
     """
     if not records or not isinstance(records, list | tuple):
         raise ValueError(f"A report needs at least one record, but records are {records!r:.100}. Run a case first.")
     if not all(isinstance(record, Record) for record in records):
         raise TypeError(f"records must be Records, as run_cases gives them, but are {records!r:.100}.")
+    if up not in ("auto", "x", "y", "z"):
+        raise ValueError(f'up must be "auto", "x", "y" or "z", but is {up!r}.')
     path = Path(path)
     folder = path.parent if folder is None else Path(folder)
-    page = Template((Path(__file__).parent / "report.html").read_text(encoding="utf-8"))
+    place = Path(__file__).parent
+    page, style, script = ((place / f"report.{kind}").read_text(encoding="utf-8") for kind in ("html", "css", "js"))
     arrays: dict[str, str] = {}
-    done = [r for r in records if r.sides]  # of a failed one, the side that has numbers
-    drawn = [r for r in done if {"implicit", "mesh"} <= set(r.artefacts)][: BUDGET // (BYTES_PER_FACE * LEAST_FACES)]
+    done = [r for r in records if r.sides]  # of a failed one, the sides that have numbers
+    drawn = [r for r in done if _can_be_drawn(r)][: BUDGET // (BYTES_PER_FACE * LEAST_FACES)]
     faces = int(np.clip(BUDGET / BYTES_PER_FACE / max(len(drawn), 1), LEAST_FACES, MOST_FACES))
-    views = {r.key: _scene(r, folder, faces, arrays, azimuth) for r, azimuth in _looks(drawn, folder)}
-    base = seen_from(path, folder)
-    content = page.substitute(
-        plotly=_plotly(),
-        summary=summary_of(records, base),
-        table=table_of(done),
-        cases="\n".join(
-            section_of(record, k, setting, base, record.key in views)
-            for k, (record, setting) in enumerate(zip(done, labels([r.case for r in done]), strict=True))
-        ),
+    scenes = {r.key: _scene(r, folder, faces, arrays, azimuth, axis) for r, azimuth, axis in _looks(drawn, folder, up)}
+    base, settings = seen_from(path, folder), labels([r.case for r in done])
+    found = title or _study_title(folder) or "Neural field and mesh, side by side"
+    content = Template(page).substitute(
+        title=escape(found),
+        style=style,
+        summary=summary_of(records, base, folder),
+        links=links_of(done),
+        charts=charted_of(folder),
         failures=failures_of(records),
-        data=_script_json(
-            {
-                "cases": [{"views": views.get(r.key), "curves": curves_of(r)} for r in done],
-                "charts": CHARTS,
-                "arrays": arrays,
-                "colours": _colour_scale(),
-            }
+        findings=findings_of(done, set(scenes)),
+        tables=tables_of(done, settings),
+        cases="\n".join(
+            section_of(record, k, setting, base, scenes.get(record.key), in_full=len(done) <= MOST_IN_FULL)
+            for k, (record, setting) in enumerate(zip(done, settings, strict=True))
         ),
+        data=_script_json({"cases": [scenes.get(r.key) for r in done], "arrays": arrays, "colours": _colour_scales()}),
+        script=script,
     )
     replace_file(path, content.encode("utf-8"))
     return path
 
 
-def _looks(records: Sequence[Record], folder: Path) -> list[tuple[Record, float]]:
-    """Return each record with the direction to look from, the same for all of one shape."""
-    from compare.reports.views import azimuth_of
-
-    of_shape = {name: [r for r in records if r.case.name == name] for name in {r.case.name for r in records}}
-    azimuth = {name: azimuth_of(group, folder) for name, group in of_shape.items()}
-    return [(record, azimuth[record.case.name]) for record in records]
+def _can_be_drawn(record: Record) -> bool:
+    return "before" in record.artefacts and any(side in record.artefacts for side in record.sides)
 
 
-def _scene(record: Record, folder: Path, faces: int, arrays: dict[str, str], azimuth: float) -> dict[str, Any]:
+def _study_title(folder: Path) -> str | None:
+    """Return the title of the study that a folder holds."""
+    try:
+        study = json.loads((folder / "study.json").read_text(encoding="utf-8"))["study"]
+        return str(study.get("title") or study.get("name") or "") or None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None  # a run, which has no title
+
+
+def _looks(records: Sequence[Record], folder: Path, up: str) -> list[tuple[Record, float, Any]]:
+    """Return each record with the direction to look from and the axis that is up.
+
+    A case without handles is seen as the others of its shape.
+    """
+    from compare.reports.azimuth import azimuth_of
+    from compare.reports.views import Up, up_of
+
+    found, of_shape = [], {}
+    for record in records:
+        shape = record.case.shape
+        axis = up_of(shape) if up == "auto" else cast(Up, up)
+        if not record.case.handles and shape not in of_shape:
+            group = [other for other in records if other.case.shape == shape and other.case.handles]
+            of_shape[shape] = azimuth_of(group[:1], folder, axis)
+        azimuth = azimuth_of([record], folder, axis) if record.case.handles else of_shape[shape]
+        found.append((record, azimuth, axis))
+    return found
+
+
+def _scene(record: Record, folder: Path, faces: int, arrays: dict[str, str], azimuth: float, up: Any) -> dict[str, Any]:
     """Return what the browser needs to draw a case."""
-    from compare.reports.views import View, colour_limit, load_views, simplified
+    from compare.reports.arrows import arrows_of
+    from compare.reports.views import ELEVATION, colour_range, load_views, simplified, simplified_alike
 
-    views = {name: simplified(view, faces) for name, view in load_views(record, folder).items()}
-    turn = _about_y(AZIMUTH - azimuth)
-    views = {name: View(view.V @ turn.T, view.F, view.values) for name, view in views.items()}
-    limit = colour_limit([views["implicit"], views["mesh"]])
+    loaded = load_views(record, folder)
+    arrows = arrows_of(record, loaded["before"])
+    # Methods of the mesh move one and the same mesh, and are drawn with the same faces.
+    alike = [name for name, view in loaded.items() if np.array_equal(view.F, loaded["before"].F)]
+    views = dict(zip(alike, simplified_alike([loaded[name] for name in alike], faces), strict=True))
+    views = {name: views[name] if name in views else simplified(view, faces) for name, view in loaded.items()}
+    results = [view for name, view in views.items() if name != "before"]
+    colours = colour_range(record, results)
     every = np.concatenate([view.V for view in views.values()])
-    lower, upper = every.min(axis=0), every.max(axis=0)
-    middle, side = (lower + upper) / 2, (upper - lower).max()
+    middle = (every.min(axis=0) + every.max(axis=0)) / 2
+    radius = float(np.linalg.norm(every - middle, axis=1).max())
+    top = max((float(np.nanmax(np.abs(v.values))) for v in results if np.isfinite(v.values).any()), default=0.0) or 1.0
     panes = {}
     for name, view in views.items():
-        # Relative to the middle of the scene, so that single precision is enough wherever the mesh lies.
-        points = ((view.V - middle) / side).astype("<f4")
+        lower, size = view.V.min(axis=0), np.maximum(np.ptp(view.V, axis=0), 1e-300)
+        wide = len(view.V) > 65535
+        values = view.values if name == "before" else 32767 * view.values / top
         panes[name] = {
-            "points": _keep(arrays, points.T),
-            "faces": _keep(arrays, view.F.T.astype("<u4" if len(view.V) > 65535 else "<u2")),
-            "wide": len(view.V) > 65535,
-            "values": _keep(arrays, view.values.astype("<f4")),
+            "points": _keep(arrays, np.round(65535 * (view.V - lower) / size).astype("<u2")),
+            "faces": _keep(arrays, view.F.astype("<u4" if wide else "<u2")),
+            "wide": wide,
+            "values": _keep(arrays, np.round(np.where(np.isfinite(values), values, NO_VALUE)).astype("<i2")),
+            "lower": ((lower - middle) / radius).tolist(),
+            "size": (size / radius).tolist(),
         }
-    holds = [handle.holds for handle in record.case.handles]
-    half = (upper - lower) / side / 2 * 1.04
-    return {"panes": panes, "limit": limit, "holds": holds, "half": half.tolist()}
-
-
-def _about_y(degrees: float) -> np.ndarray:
-    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+    return {
+        "shape": record.case.shape,
+        "panes": panes,
+        "limit": colours.limit,
+        "oneSided": colours.one_sided,
+        "unit": colours.unit,
+        "isLength": operation_of(record.case.operation).error_is_length,
+        "top": top,
+        "holds": [handle.holds for handle in record.case.handles],
+        "arrows": [[((end - middle) / radius).tolist() for end in pair] for pair in arrows],
+        "azimuth": azimuth,
+        "elevation": ELEVATION,
+        "up": up,
+    }
 
 
 def _keep(arrays: dict[str, str], array: np.ndarray) -> str:
@@ -138,19 +202,15 @@ def _keep(arrays: dict[str, str], array: np.ndarray) -> str:
     return name
 
 
-def _colour_scale() -> list[tuple[float, str]]:
-    from matplotlib import colormaps
-    from matplotlib.colors import to_hex
+def _colour_scales() -> dict[str, list[list[float]]]:
+    """Return the colours of the two kinds of range, from the low end to the high one."""
+    from compare.reports.figures import ABOUT_ZERO, FROM_ZERO, colours_of
 
-    from compare.reports.figures import COLOURS
-
-    return [(float(t), to_hex(colormaps[COLOURS](t))) for t in np.linspace(0, 1, 17)]
-
-
-def _plotly() -> str:
-    from plotly.offline import get_plotlyjs
-
-    return get_plotlyjs()
+    steps = np.linspace(0, 1, 33)
+    return {
+        "about zero": colours_of(ABOUT_ZERO, steps).round(4).tolist(),
+        "from zero": colours_of(FROM_ZERO, steps).round(4).tolist(),
+    }
 
 
 def _script_json(value: Any) -> str:

@@ -29,6 +29,9 @@ SIDE_COLOURS = {
     "mesh, ARAP, equal error": "#56b4e9",
 }
 
+LEAST_SHARE = 1e-5  # below this a share says that something was held, and not by how much
+LEAST_SECONDS = 0.01
+
 # What every side has, before and after what single operations add.
 _JUDGED = (
     Column(
@@ -36,6 +39,7 @@ _JUDGED = (
         "Killing",
         "Killing energy: integral of |P(J+J')P|² over the common mesh, a squared length",
         label="Killing energy",
+        unit="length²",
     ),
     Column(
         "volume_drift",
@@ -60,8 +64,8 @@ _JUDGED = (
     ),
 )
 _COSTS = (
-    Column("seconds", "s", "seconds of the editor alone", label="seconds of the editor"),
-    Column("peak_memory", "MB", "peak memory of the editor, megabytes", brief=False),
+    Column("seconds", "s", "seconds of the editor alone", label="seconds of the editor", unit="s"),
+    Column("peak_memory", "MB", "peak memory of the editor, megabytes", brief=False, unit="MB"),
 )
 
 
@@ -82,15 +86,25 @@ def number(row: Mapping[str, Any], column: Column) -> float | None:
 
 
 def text(value: float | None, column: Column) -> str:
-    """Return the value as a reader likes to have it."""
+    """Return the value as a reader likes to have it; what is too small to count is said to be below what counts."""
     if value is None:
         return ""
     if column.percent:
         if abs(value) < 1e-9:  # rounding of the sums, no finding
             return "0 %"
+        if abs(value) < LEAST_SHARE:
+            return f"<{100 * LEAST_SHARE:g} %"
         return percentage(value, sign=column.name.endswith("_drift"))
-    digits = {"seconds": ".1f", "peak_memory": ".0f"}.get(column.name, ".3g")
-    return f"{value:{digits}}"
+    if column.name == "seconds":
+        return duration(value)
+    return f"{value:{'.0f' if column.name == 'peak_memory' else '.3g'}}"
+
+
+def duration(seconds: float) -> str:
+    """Return seconds with two digits that count, and those too short to be measured as what they are."""
+    if seconds < LEAST_SECONDS:
+        return f"<{LEAST_SECONDS:g}"
+    return f"{seconds:.2f}" if seconds < 0.1 else f"{seconds:.1f}" if seconds < 99.5 else f"{seconds:.0f}"
 
 
 def percentage(value: float, *, sign: bool = False) -> str:

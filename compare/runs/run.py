@@ -292,8 +292,8 @@ def _write(
     result: Surface | None,
     folder: Path,
 ) -> dict[str, Artefact]:
-    """Write the edited field, and up to three meshes in the user's units: before, with the number of the handle as
-    vertex quality, and the results there are, with the error."""
+    """Write the edited field, and meshes in the user's units: before, with the number of the handle as vertex quality,
+    and the result of every method, with the error."""
     stem = f"{case.name}-{case.operation}-{case.key}"
     meshes = folder / "meshes"
     meshes.mkdir(parents=True, exist_ok=True)
@@ -312,11 +312,11 @@ def _write(
         if error is not None:
             error = _carried_over(subject.V + sides["implicit"].displacement, error, V) * length
         meshref.write_mesh(paths["implicit"], subject.to_user(V), F, quality=error)
-    if "mesh" in sides:
-        error = errors["mesh"]
-        paths["mesh"] = meshes / f"{stem}-mesh.ply"
-        moved = subject.to_user(subject.V + sides["mesh"].displacement)
-        meshref.write_mesh(paths["mesh"], moved, subject.F, quality=None if error is None else error * length)
+    for name in (side for side in sides if side != "implicit"):
+        error = errors[name]
+        paths[name] = meshes / f"{stem}-{name.lower().replace(', ', '-').replace(' ', '-')}.ply"
+        moved = subject.to_user(subject.V + sides[name].displacement)
+        meshref.write_mesh(paths[name], moved, subject.F, quality=None if error is None else error * length)
     return {name: Artefact.of(path, folder) for name, path in paths.items()}
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from compare.files import replace_file
-from compare.runs.columns import SIDE_COLOURS, SIDES, column_of, columns, number
+from compare.runs.columns import SIDE_COLOURS, SIDES, column_of, number
 from compare.runs.records import Record
 from compare.studies.study import Chart, Study, settings_at
 
@@ -39,25 +38,6 @@ class Point:
         from compare.cases.settings import setting_of
 
         return setting_of(self.record.case, name)
-
-
-def write_table(study: Study, records: Sequence[Record], path: Path) -> None:
-    """Write a line for each case and method: shape, what was varied, and numbers; for a failed case, its reason."""
-    from compare.cases.settings import setting_of
-
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    names = [column.name for column in columns()]
-    rows.writerow(["shape", "operation", *study.varied, "by", "method", *names, "complete", "status", "key"])
-    for record in records:
-        case = record.case
-        head = [case.name, case.operation, *(_word(setting_of(case, name)) for name in study.varied)]
-        for side, row in record.sides.items():
-            numbers = [_word(number(row, column)) for column in columns()]
-            rows.writerow([*head, SIDES.get(side, side), row.method, *numbers, row.complete, row.status, record.key])
-        if record.failed:
-            rows.writerow([*head, "", "", *("" for _ in columns()), False, record.status, record.key])
-    replace_file(path, text.getvalue().encode())
 
 
 def curves(study: Study, records: Sequence[Record], chart: Chart) -> dict[tuple[str, ...], list[tuple[Any, float]]]:

@@ -154,9 +154,10 @@ def finished(folder: Path) -> int:
 def sum_up(study: Study, records: list[Record], folder: Path) -> None:
     """Write the table, the chart and the report."""
     from compare.reports.report import report
-    from compare.studies.curves import draw_charts, write_table
+    from compare.reports.table import write_table
+    from compare.studies.curves import draw_charts
 
-    write_table(study, records, folder / "table.csv")
+    write_table(records, folder / "table.csv", study.varied)
     if study.charts:
         draw_charts(study, records, folder / "chart")
     report(records, folder / "report.html")

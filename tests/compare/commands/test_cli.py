@@ -41,7 +41,7 @@ def test_a_refusal_is_one_sentence_and_exit_code_2_in_the_shell(tmp_path):
 
 
 def test_the_command_imports_neither_torch_nor_the_mesh_libraries(tmp_path):
-    code = "import sys, compare.commands.cli; print(sys.modules.keys() & {'torch', 'igl', 'pymeshlab', 'plotly'})"
+    code = "import sys, compare.commands.cli; print(sys.modules.keys() & {'torch', 'igl', 'pymeshlab', 'matplotlib'})"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True)
     assert result.stdout.strip() == "set()"
 

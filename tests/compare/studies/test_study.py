@@ -20,9 +20,10 @@ from compare import Case, Record, find_study, run_study
 from compare.cases.labels import labels
 from compare.cases.settings import setting_of
 from compare.errors import InputError
+from compare.reports.table import write_table
 from compare.runs.lock import lock
 from compare.runs.records import FILE, read
-from compare.studies.curves import Point, curves, draw_charts, write_table
+from compare.studies.curves import Point, curves, draw_charts
 from compare.studies.plan import check_options, combinations, plan
 from compare.studies.study import Chart, Study, built_in, parse_study
 from compare.studies.study_folder import STUDY_FILE, require_folder_of
@@ -302,7 +303,7 @@ def records():
 
 
 def test_the_table_has_a_line_for_each_method_and_each_failure(records, tmp_path):
-    write_table(STUDY, records, tmp_path / "table.csv")
+    write_table(records, tmp_path / "table.csv", STUDY.varied)
     rows = list(csv.DictReader((tmp_path / "table.csv").read_text().splitlines()))
     assert len(rows) == 8
     assert [row["vertices"] for row in rows] == ["100", "100", "200", "200", "400", "400", "800", "800"]
