@@ -30,7 +30,7 @@ ORDER = {
         "evolve", "fitting", "edits", "families", "__init__",
     ],
     "compare": [
-        "errors", "files", "cases", "operations", "fitting", "runs", "reports", "studies", "paper", "commands",
+        "errors", "files", "cases", "operations", "fitting", "runs", "reports", "studies", "paper", "editor", "commands",
         "__init__", "__main__",
     ],
 }  # fmt: skip
