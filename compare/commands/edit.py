@@ -26,13 +26,13 @@ class Edit:
     """Drag a neural shape in the browser: a page on this machine alone, with undo, history and exports."""
 
     shape: tyro.conf.Positional[str]
-    """A bundled shape or family model, a mesh, a field, a checkpoint, or a function of yours, my_module.py:make_field."""
+    """A bundled shape or family model, a mesh, a field, a checkpoint, or your own my_module.py:make_field."""
     port: int = 8080
     """Port of the page; the next free one where it is in use."""
     browser: bool = True
     """Open the page; --no-browser prints its address alone."""
     host: str = LOOPBACK
-    """Address to listen on. Any other than the default lets others reach the page, and edit: it asks for no password."""
+    """Address to listen on. Any but the default lets others reach the page, and edit: it asks for no password."""
     session: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Folder in which the session is kept after each edit, and gone on with; by default results/edit- and the time."""
     code: int = 0

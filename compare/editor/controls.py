@@ -122,7 +122,7 @@ def _editing(gui: viser.GuiApi, session: EditSession, size: float) -> dict[str, 
         "volume": gui.add_checkbox("Hold the volume", False),
         "area": gui.add_checkbox("Hold the area", False),
         "points": gui.add_dropdown("Points", ("500", "1000", "2000"), hint="More come closer between them"),
-        "steps": gui.add_slider("Steps", 1, 16, 1, session.settings.steps),
+        "steps": gui.add_dropdown("Steps", ("auto", "3", "8", "16"), hint="auto takes more for a longer drag"),
     }
 
 

@@ -1,4 +1,4 @@
-"""What is drawn on the page: places under the pointer, colours of numbers, and their scale."""
+"""Drawing on the page: places under the pointer, colours of numbers, and their scale."""
 
 from __future__ import annotations
 
@@ -77,7 +77,8 @@ def scale_of_colours(title: str, largest: float) -> str:
     ends = "".join(f"<span>{value:+.3g} %</span>" for value in (-100 * largest, 0.0, 100 * largest))
     return (
         f'<div style="padding:0.3em 0.8em;font-size:0.85em">{escape(title)}'
-        f'<div style="height:0.8em;border-radius:3px;margin:0.3em 0;background:linear-gradient(to right, {stops})"></div>'
+        '<div style="height:0.8em;border-radius:3px;margin:0.3em 0;'
+        f'background:linear-gradient(to right, {stops})"></div>'
         f'<div style="display:flex;justify-content:space-between">{ends}</div></div>'
     )
 

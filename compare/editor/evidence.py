@@ -1,7 +1,7 @@
 """The evidence of an edit at the vertices that were drawn before it: where they went, and what was missed there.
 
-The points that carry an edit's target say little of the places between them. The drawn vertices are others, and many, so
-what is missed is told at these.
+The points that carry an edit's target say little of the places between them. The drawn vertices are others, and many,
+so what is missed is told at these.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
-"""What leaves a session: meshes, fields, handles, cases, and a script that does it all again."""
+"""Exports of a session: meshes, fields, handles, cases, and a script that does it all again."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
-
 
 import implicit
 import meshref
@@ -43,6 +42,7 @@ def export_mesh(session: EditSession, path: Path, resolution: int = RESOLUTION) 
         import trimesh
 
         content = trimesh.Trimesh(V, F, process=False).export(file_type="glb")
+        assert isinstance(content, bytes)
         replace_file(path, content)
     except (meshref.MeshError, OSError) as error:
         raise InputError(str(error)) from error
@@ -56,7 +56,8 @@ def export_field(session: EditSession, path: Path) -> None:
     """
     if path.suffix != ".safetensors":
         raise InputError(f"A field is written to a file ending in .safetensors, but it is called {path.name!r}.")
-    source, options = session.source, {}
+    source = session.source
+    options: dict[str, Any] = {}
     if source.opening.module is not None:
         built = builder_of(source.shape)
         options = {"builder": source.opening.module, "arguments": {} if built is None else built[1]}
@@ -157,4 +158,5 @@ def script(session: EditSession, name: str = "edits.py") -> str:
 
 def _call(entry: Entry) -> str:
     handles = "".join(f"        HandleSpec({h.region!r}, {h.motion!r}),\n" for h in entry.handles)
-    return f"session.do(\n    [\n{handles}    ],\n    {entry.tool!r},\n    {entry.settings!r},\n    name={entry.name!r},\n)\n"
+    options = f"    {entry.tool!r},\n    {entry.settings!r},\n    name={entry.name!r},\n"
+    return f"session.do(\n    [\n{handles}    ],\n{options})\n"

@@ -170,13 +170,9 @@ class Folder:
         try:
             row = json.loads((self.path / FILE).read_text(encoding="utf-8"))
         except OSError as error:
-            raise InputError(
-                f"{self.path} holds no session: {error.strerror}. Name a folder that one was saved in."
-            ) from (error)
+            raise InputError(f"{self.path} holds no session: {error.strerror}. Name the folder of one.") from (error)
         except ValueError as error:
-            raise InputError(
-                f"{self.path / FILE} is cut short or changed: {error}. Take the last field instead."
-            ) from error
+            raise InputError(f"{self.path / FILE} is cut short: {error}. Take the last field instead.") from error
         if not isinstance(row, dict) or row.get("format") != FORMAT:
             raise InputError(f"{self.path / FILE} is no session of this version; its format must be {FORMAT!r}.")
         try:
@@ -213,9 +209,7 @@ class Folder:
                 raise InputError(f"{path} has no parameter {missing[0]}, which the field at the start has.")
             theta = torch.cat([tensors[block.name].flatten() for block in start.layout])
         if theta.shape != start.theta.shape:
-            raise InputError(
-                f"{path} holds {len(theta)} parameters, but the field at the start has {len(start.theta)}."
-            )
+            raise InputError(f"{path} holds {len(theta)} parameters, but the field at the start {len(start.theta)}.")
         return theta.to(start.theta)
 
     def is_described(self, number: int) -> bool:

@@ -54,9 +54,7 @@ class Motion:
         if not self.factor > 0:
             raise ValueError(f"The factor of a motion must be positive, but is {self.factor!r}.")
         if self.along != 0 and not self._of_space_at_rest:
-            raise ValueError(
-                "A motion goes along the normal or through space, but both are given. Leave one of them out."
-            )
+            raise ValueError("A motion goes along the normal or through space, but both are given. Leave one out.")
 
     @property
     def _of_space_at_rest(self) -> bool:

@@ -14,7 +14,9 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -77,9 +79,10 @@ class EditorPage:
         self._drawn: list[str] = []
         self._held_back = False  # while the page itself sets the gizmo
         self.worker = Worker(self._say_error)
-        self.server = viser.ViserServer(
-            host=host, port=port, label=f"Edit {Path(session.source.shape).stem}", verbose=False
-        )
+        with redirect_stdout(StringIO()):  # viser prints a table of its own, also where it is not verbose
+            self.server = viser.ViserServer(
+                host=host, port=port, label=f"Edit {Path(session.source.shape).stem}", verbose=False
+            )
         self.server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         self._set_camera()
         self.controls = controls_of(self.server.gui, session)
@@ -100,7 +103,8 @@ class EditorPage:
         """End the server and the worker."""
         self.session.call_off()
         self.worker.stop()
-        self.server.stop()
+        with redirect_stdout(StringIO()):
+            self.server.stop()
 
     # What the page is told
 
@@ -170,7 +174,7 @@ class EditorPage:
         else:
             self.worker.show(lambda: self._frame(motion))
 
-    async def _on_click(self, event: viser.SceneNodePointerEvent[Any]) -> None:
+    def _on_click(self, event: viser.SceneClickEvent) -> None:
         origin, direction = np.asarray(event.ray_origin), np.asarray(event.ray_direction)
         self.worker.do(lambda: self._clicked(origin, direction))
 
@@ -260,7 +264,8 @@ class EditorPage:
     def _settings(self) -> Settings:
         c = self.controls
         hold = tuple(name for name, on in (("volume", c.volume.value), ("area", c.area.value)) if on)
-        return replace(self.session.settings, hold=hold, points=int(c.points.value), steps=int(c.steps.value))
+        steps = None if c.steps.value == "auto" else int(c.steps.value)
+        return replace(self.session.settings, hold=hold, points=int(c.points.value), steps=steps)
 
     def _motion(self) -> Motion | None:
         moving = [picked for picked in self.session.regions if picked.role == "moves"]
@@ -365,9 +370,10 @@ class EditorPage:
 
     def _set_camera(self) -> None:
         self.server.scene.set_up_direction("+y")
+        self.server.scene.configure_default_lights(cast_shadow=False)  # which would be drawn anew in every frame
         V = self.session.surface.V
         middle, size = (V.min(axis=0) + V.max(axis=0)) / 2, float(np.linalg.norm(V.max(axis=0) - V.min(axis=0)))
-        self.server.initial_camera.position = tuple(middle + size * np.array([0.75, 0.45, 1.0]))
+        self.server.initial_camera.position = tuple(middle + size * np.array([-0.6, 0.35, -0.8]))
         self.server.initial_camera.look_at = tuple(middle)
 
     def _add_shape(self) -> viser.MeshHandle:
@@ -378,8 +384,11 @@ class EditorPage:
             surface.F.astype(np.uint32),
             color=drawing.SHAPE,
             side="double",
+            cast_shadow=False,
+            receive_shadow=False,
         )
-        shape.on_click(self._on_click)
+        # A click on the scene, for a node that can be clicked is outlined, which hides what is picked on it.
+        self.server.scene.on_click()(self._on_click)
         shape.on_drag("left", modifier="shift")(self._on_brush)
         return shape
 
@@ -474,8 +483,8 @@ class EditorPage:
         before = self.session.surface if V is None or evidence is None else evidence.before
         places = before.V if V is None else V
         largest = drawing.shown_range(values)
-        mesh = trimesh.Trimesh(places, before.F, process=False)
-        mesh.visual.vertex_colors = drawing.colours(values, largest).astype(np.uint8)
+        painted = drawing.colours(values, largest).astype(np.uint8)
+        mesh = trimesh.Trimesh(places, before.F, vertex_colors=painted, process=False)
         self.server.scene.add_mesh_trimesh("/coloured", mesh)
         self._shape.visible = False
         self._shown = (places, before.F)

@@ -11,7 +11,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -98,9 +97,7 @@ def beyond_stroke(start: ArrayLike, end: ArrayLike, sight: ArrayLike, falloff: f
     along = np.subtract(_place(end), _place(start))
     normal = np.cross(_place(sight), along)
     if not np.linalg.norm(normal) > 1e-9 * np.linalg.norm(along) * np.linalg.norm(_place(sight)):
-        raise ValueError(
-            "A stroke must run across the view, but begins and ends at the same place of it. Draw it longer."
-        )
+        raise ValueError("A stroke must run across the view, but begins and ends at one place of it. Draw it longer.")
     # With the stroke to the right of the picture, sight x along points down in it, and left of the stroke is up.
     return half_space(start, -normal / np.linalg.norm(normal), falloff)
 
@@ -111,8 +108,7 @@ def held(region: dict[str, Any]) -> HandleSpec:
 
 
 def _place(point: ArrayLike) -> list[float]:
-    numbers: Sequence[float] = np.asarray(point, dtype=float).tolist()
-    return list(numbers) if isinstance(numbers, list) else [numbers]
+    return [float(number) for number in np.asarray(point, dtype=float).ravel()]
 
 
 def _checked(region: dict[str, Any]) -> dict[str, Any]:

@@ -31,7 +31,7 @@ from compare.editor.linear import LinearModel, Missed, Preview, Surface
 from compare.editor.motion import Motion, Triple, carried
 from compare.editor.regions import Picked, Role
 from compare.editor.source import Opening, Source, open_source
-from compare.editor.tools import Progress, Settings, Tool, carrying_sample, prior_of, run_tool
+from compare.editor.tools import Progress, Settings, Tool, carrying_sample, prior_of, run_tool, settled
 from compare.errors import InputError, Progress as Told
 from implicit.evolve.edit import REACHED_SHARE, EditStatus, edit_status, reached_target
 from implicit.surface.projection import newton_to_surface
@@ -196,7 +196,7 @@ class EditSession:
         return None if self._folder is None else self._folder.path
 
     def measures(self) -> dict[str, float]:
-        """Return volume, area and pieces of the surface, in the user's units, and the distance of a code from others."""
+        """Return volume, area and pieces in the user's units, and how far a code is from those of training."""
         return _measures(self.source, self._measured)
 
     # What it picks
@@ -290,7 +290,9 @@ class EditSession:
         """
         handles = [motion.spec(picked).build() for picked in self.regions]
         try:
-            return implicit.expressibility(self.field, handles, steps=self.settings.steps, points=self.settings.points)
+            return implicit.expressibility(
+                self.field, handles, steps=self.settings.steps or 3, points=self.settings.points
+            )
         except (ValueError, TypeError, RuntimeError) as error:
             raise _in_words(error) from error
 
@@ -360,6 +362,7 @@ class EditSession:
                 progress(step, steps, row)
 
         try:
+            settings = settled(settings, tool, self.field, handles, self.surface)
             edit = run_tool(
                 tool,
                 self.field,
@@ -465,7 +468,7 @@ class EditSession:
         return self._fields[self.entry(number).number - 1]
 
     def field_file(self, number: int) -> Path | None:
-        """Return the file of the field after so many edits, 0 for the start; None where it is in none or not described."""
+        """Return the file of the field after so many edits, 0 for the start; None if none describes it."""
         if self._folder is None or not self._folder.is_described(number):
             return None
         return self._folder.field_path(number)
@@ -572,7 +575,8 @@ def _judged(before: implicit.Field, evidence: Evidence) -> tuple[EditStatus, tup
     if edit.asked is not None and evidence.missed is not None and evidence.missed > REACHED_SHARE:
         ended = edit_status(ended, reached=False)
         notes.append(
-            f"On the drawn surface {100 * evidence.missed:.2g} % of the target is missed; more points or steps come closer."
+            f"On the drawn surface {100 * evidence.missed:.2g} % of the target is missed; more points or steps come "
+            "closer."
         )
     try:
         old, new = confirmed(
@@ -604,8 +608,8 @@ def _source_of(kept: Folder, row: dict[str, Any], shape: str | None, module: str
     else:
         if row["kind"] == "code" and shape is None:
             raise InputError(
-                f"{kept.path} holds a session of {row['shape']}, your own code. No code is run because a file names it: "
-                "if you trust it, name it as the shape."
+                f"{kept.path} holds a session of {row['shape']}, your own code. No code is run because a file names "
+                "it: if you trust it, name it as the shape."
             )
         source = open_source(row["shape"], opening)
         start, codes = source.field.with_theta(kept.read_theta_of(0, source.field)), source.codes

@@ -108,8 +108,8 @@ def _opened(shape: str, opening: Opening, progress: Progress | None) -> Source:
         hint = f" Did you mean {close[0]}?" if close else ""
         raise InputError(
             f"A shape is one of {', '.join((*BUNDLED, *families.BUNDLED))}, a file ending in "
-            f"{', '.join((*MESH_SUFFIXES, FIELD_SUFFIX, *CHECKPOINTS))}, or a function of yours, my_module.py:make_field,"
-            f" but got {shape!r}.{hint}"
+            f"{', '.join((*MESH_SUFFIXES, FIELD_SUFFIX, *CHECKPOINTS))}, or a function of yours, "
+            f"my_module.py:make_field, but got {shape!r}.{hint}"
         )
     if not Path(shape).is_file():
         raise InputError(f"There is no file {shape}. Check the path; bundled shapes are {', '.join(BUNDLED)}.")
@@ -152,9 +152,9 @@ def _of_tensors(shape: str, opening: Opening) -> Source:
         try:
             decoder, codes = implicit.load_checkpoint(shape, "auto")
         except ValueError as of_decoder:
-            raise InputError(
-                f"{shape} is no network that is known ({of_network}), nor a decoder ({of_decoder})."
-            ) from (of_decoder)
+            raise InputError(f"{shape} is no known network ({of_network}), nor a decoder ({of_decoder}).") from (
+                of_decoder
+            )
     code = _code(shape, opening.code, len(codes))
     return Source(shape, opening, implicit.decoder_field(decoder, codes[code]), "checkpoint", codes)
 

@@ -10,8 +10,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal, get_args
 
 import torch
@@ -19,7 +20,9 @@ from torch import Tensor
 
 import implicit
 from compare.cases.handles import HandleSpec
+from compare.editor.linear import Surface
 from compare.errors import InputError
+from implicit.edits.targets import SummedTargets
 from implicit.surface.quadrature import placed
 
 Tool = Literal["geometric", "rigid", "smooth", "semantic"]
@@ -27,6 +30,10 @@ TOOLS: tuple[Tool, ...] = get_args(Tool)
 Progress = Callable[[int, int, dict[str, Any]], None]
 
 HOLDS: Mapping[str, Callable[[], implicit.Functional]] = {"volume": implicit.Volume, "area": implicit.Area}
+
+# Share of the field's size that a step of an edit goes, and how many there are at least and at most.
+STEP = 1 / 80
+LEAST_STEPS, MOST_STEPS = 3, 16
 
 # Least share of the sample's points that lie in the regions that move, and the most by which they are denser there.
 # More of them there leave the rest to itself: on the cow's flank a half misses 0.29 of a bump, a tenth 0.17.
@@ -40,7 +47,7 @@ class Settings:
 
     Attributes:
         points: Points of the surface that carry the target.
-        steps: Steps of the edit.
+        steps: Steps of the edit; None takes as many as the length of the motion needs, three at least.
         hold: Of "volume" and "area", what is held at its value before the edit.
         pull: Of semantic edits, how strongly the code is pulled to those of training.
         time: Of smoothing, the time of a step in units of 1e-4 of the area.
@@ -49,7 +56,7 @@ class Settings:
     """
 
     points: int = 500
-    steps: int = 3
+    steps: int | None = None
     hold: tuple[str, ...] = ()
     pull: float = 1e-4
     time: float = 1.0
@@ -60,6 +67,8 @@ class Settings:
         object.__setattr__(self, "hold", tuple(self.hold))
         for name, least in (("points", 20), ("steps", 1), ("resolution", 8), ("seed", 0)):
             value = getattr(self, name)
+            if name == "steps" and value is None:
+                continue
             if not isinstance(value, int) or isinstance(value, bool) or value < least:
                 raise InputError(f"{name} must be a whole number, at least {least}, but is {value!r}.")
         if unknown := set(self.hold) - set(HOLDS):
@@ -79,6 +88,28 @@ class Settings:
         if unknown := set(row) - {part.name for part in fields(cls)}:
             raise InputError(f"There is no setting {sorted(unknown)[0]!r} of an edit.")
         return cls(**row)
+
+
+def settled(
+    settings: Settings, tool: Tool, field: implicit.Field, handles: Sequence[HandleSpec], surface: Surface
+) -> Settings:
+    """Return the settings with the number of steps that an edit takes.
+
+    Args:
+        settings: As asked for.
+        tool: Which edit.
+        field: The field.
+        handles: What goes where.
+        surface: Of the field, as drawn.
+    """
+    if settings.steps is not None:
+        return settings
+    steps = LEAST_STEPS
+    if tool in ("geometric", "rigid") and handles:
+        points, normals = torch.from_numpy(surface.V), torch.from_numpy(surface.N)
+        longest = SummedTargets([handle.build() for handle in handles], points, normals).largest()
+        steps = min(MOST_STEPS, max(steps, math.ceil(longest / (STEP * field.size))))
+    return replace(settings, steps=steps)
 
 
 def run_tool(
@@ -117,7 +148,7 @@ def run_tool(
     sample = carrying_sample(field, quadrature, handles, settings.points, settings.seed)
     common: dict[str, Any] = {
         "points": sample,
-        "steps": settings.steps,
+        "steps": settings.steps or LEAST_STEPS,
         "constraints": _constraints(settings),
         "resolution": settings.resolution,
         "progress": progress,
@@ -157,8 +188,8 @@ def carrying_sample(
             "No point of the surface lies in a region that moves. Pick one on the shape, or make it larger."
         )
     outside = float(quadrature.weights.sum()) - inside
-    dense = IN_REGIONS / (1 - IN_REGIONS) * outside / inside
-    dense = 1 + moving * (min(max(dense, 1.0), MOST_DENSE) - 1)
+    times_denser = min(max(IN_REGIONS / (1 - IN_REGIONS) * outside / inside, 1.0), MOST_DENSE)
+    dense = 1 + moving * (times_denser - 1)
     amounts = (quadrature.weights * dense).double()
     count = min(points, len(amounts))
     generator = torch.Generator().manual_seed(seed)
@@ -187,7 +218,7 @@ def _smooth(
         where = region if where is None else where | region  # type: ignore[operator]
     return implicit.smooth(
         field,
-        steps=settings.steps,
+        steps=settings.steps or LEAST_STEPS,
         step_size=settings.time * 1e-4 * float(quadrature.weights.sum()),
         where=where,  # type: ignore[arg-type]
         constraints=_constraints(settings),
@@ -205,9 +236,7 @@ def _semantic(
     progress: Progress | None,
 ) -> implicit.Edit:
     if not field.takes_code:
-        raise InputError(
-            "A semantic edit changes the code of a generated shape, but this field has none. Take another tool."
-        )
+        raise InputError("A semantic edit changes the code of a generated shape, but this field has none.")
     if settings.hold:
         raise InputError("A semantic edit holds neither volume nor area. Let them go, or take another tool.")
     points, displacements = implicit.prescribe(
@@ -215,7 +244,7 @@ def _semantic(
     )
     prior = None if codes is None or len(codes) < 2 or settings.pull == 0 else prior_of(codes, settings.pull)
     return implicit.semantic_edit(
-        field, points, displacements, steps=max(15, settings.steps), prior=prior, progress=progress
+        field, points, displacements, steps=max(15, settings.steps or 0), prior=prior, progress=progress
     )
 
 
