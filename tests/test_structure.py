@@ -30,8 +30,8 @@ ORDER = {
         "evolve", "fitting", "edits", "families", "__init__",
     ],
     "compare": [
-        "errors", "files", "cases", "operations", "fitting", "runs", "reports", "studies", "paper", "commands",
-        "__init__", "__main__",
+        "errors", "files", "cases", "operations", "fitting", "runs", "reports", "studies", "paper", "editor",
+        "commands", "__init__", "__main__",
     ],
 }  # fmt: skip
 

@@ -10,26 +10,31 @@ import numpy as np
 from numpy import ndarray
 
 if TYPE_CHECKING:  # torch takes seconds to import, and handles are read where nothing is computed
-    from implicit import Handle
+    from torch import Tensor
+
+    from implicit import Handle, RigidMotion
 
 # What each kind of region and motion takes: its numbers, by the argument names of the classes in `implicit`.
 REGIONS = {
     "ball": ("center", "radius", "falloff"),
     "box": ("lower", "upper", "falloff"),
     "halfspace": ("point", "normal", "falloff"),
+    "points": ("centers", "radius", "falloff"),
 }
 MOTIONS = {
     "vector": ("vector",),
     "along": ("distance",),
     "rigid": ("rotation", "translation", "center"),
+    "similar": ("factor", "center", "rotation", "translation"),
 }
 
 OPTIONAL = {"falloff", "rotation", "translation"}
-SCALARS = {"radius", "falloff", "distance"}  # the others are points or vectors
+SCALARS = {"radius", "falloff", "distance", "factor"}  # the others are points or vectors
+LISTS = {"centers"}  # of points
 # How each changes from the user's coordinates to the field's; rotations and normals are the same in both.
-PLACES = {"center", "lower", "upper", "point"}
+PLACES = {"center", "centers", "lower", "upper", "point"}
 LENGTHS = {"radius", "falloff", "distance", "vector", "translation"}
-POSITIVE = {"radius": 0.0, "falloff": 0.0}
+POSITIVE = {"radius": 0.0, "falloff": 0.0, "factor": 0.0}
 
 
 @dataclass(frozen=True, repr=False)
@@ -38,10 +43,12 @@ class HandleSpec:
 
     Args:
         region: {"kind": "ball", "center": [x, y, z], "radius": r}, or "box" with lower and upper, or "halfspace" with
-            point and normal (the side that the normal points to); each may have "falloff", a width over which the
-            weight sinks smoothly from 1 to 0. The displacement of a geometric edit sinks with it.
-        motion: {"kind": "vector", "vector": [x, y, z]}; "along" with distance, outward along the normal; or "rigid"
-            with rotation (a vector: axis times angle in radians), translation and center.
+            point and normal (the side that the normal points to), or "points" with centers and radius: balls about all
+            of them; each may have "falloff", a width over which the weight sinks smoothly from 1 to 0. The displacement
+            of a geometric edit sinks with it.
+        motion: {"kind": "vector", "vector": [x, y, z]}; "along" with distance, outward along the normal; "rigid"
+            with rotation (a vector: axis times angle in radians), translation and center; or "similar", which scales
+            by factor about center as well.
     """
 
     region: Mapping[str, Any]
@@ -73,12 +80,31 @@ class HandleSpec:
 
         region = {k: v for k, v in self.region.items() if k != "kind"}
         motion = {k: v for k, v in self.motion.items() if k != "kind"}
-        where = {"ball": implicit.Ball, "box": implicit.Box, "halfspace": implicit.HalfSpace}[self.region["kind"]]
+        where = {
+            "ball": implicit.Ball,
+            "box": implicit.Box,
+            "halfspace": implicit.HalfSpace,
+            "points": implicit.NearPoints,
+        }[self.region["kind"]]
         if self.motion["kind"] == "vector":
             return implicit.Handle(where(**region), motion["vector"])
         if self.motion["kind"] == "along":
             return implicit.Handle(where(**region), implicit.Along(motion["distance"]))
+        if self.motion["kind"] == "similar":
+            return implicit.Handle(where(**region), _Similar(motion.pop("factor"), implicit.RigidMotion(**motion)))
         return implicit.Handle(where(**region), implicit.RigidMotion(**motion))
+
+
+@dataclass(frozen=True, eq=False)
+class _Similar:
+    """Displacement of points that are scaled about the centre of a rigid motion, and then take that."""
+
+    factor: float
+    rigid: RigidMotion
+
+    def __call__(self, points: Tensor) -> Tensor:
+        center = points.new_tensor(self.rigid.center)
+        return self.rigid.at(1.0, center + self.factor * (points - center)) - points
 
 
 def rounded(point: ndarray) -> list[float]:
@@ -113,11 +139,23 @@ def _require_numbers(what: str, given: Mapping[str, Any], kinds: Mapping[str, tu
         raise ValueError(f"A {what} of kind {kind!r} must have {', '.join(takes)}, but has {', '.join(given)}.")
     for name in takes:
         if name in given:
-            _require_number(f"{name} of a {what}", given[name], POSITIVE.get(name), 1 if name in SCALARS else 3)
+            if name in LISTS:
+                _require_points(f"{name} of a {what}", given[name])
+            else:
+                _require_number(f"{name} of a {what}", given[name], POSITIVE.get(name), 1 if name in SCALARS else 3)
     if kind == "box" and not all(a < b for a, b in zip(given["lower"], given["upper"])):
         raise ValueError(f"lower must be below upper in the region, but they are {given['lower']}, {given['upper']}.")
     if kind == "halfspace" and not np.any(given["normal"]):
         raise ValueError("normal of a region must point somewhere, but is zero.")
+
+
+def _require_points(name: str, value: Any) -> None:
+    try:
+        numbers = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        numbers = np.empty(0)
+    if numbers.ndim != 2 or numbers.shape[1] != 3 or len(numbers) == 0 or not np.isfinite(numbers).all():
+        raise ValueError(f"{name} must be points of three finite numbers each, but are {value!r:.200}.")
 
 
 def _require_number(name: str, value: Any, least: float | None, count: int) -> None:
@@ -128,7 +166,7 @@ def _require_number(name: str, value: Any, least: float | None, count: int) -> N
     if numbers.shape != ((3,) if count == 3 else ()) or not np.isfinite(numbers).all():
         kind = "three finite numbers" if count == 3 else "a finite number"
         raise ValueError(f"{name} must be {kind}, but is {value!r}.")
-    if least is not None and not (numbers > least if name.startswith("radius") else numbers >= least):
+    if least is not None and not (numbers > least if name.startswith(("radius", "factor")) else numbers >= least):
         raise ValueError(
-            f"{name} must be {'positive' if name.startswith('radius') else 'at least 0'}, but is {value!r}."
+            f"{name} must be {'positive' if name.startswith(('radius', 'factor')) else 'at least 0'}, but is {value!r}."
         )

@@ -19,6 +19,7 @@ import tyro
 
 from compare.commands import exits
 from compare.commands.checks import require_lists
+from compare.commands.edit import Edit, edit
 from compare.commands.figures import Figures, figures
 from compare.commands.fit import Fit, fit
 from compare.commands.handles import Handles, handles
@@ -34,6 +35,7 @@ from compare.errors import InputError
 COMMANDS: dict[type, Callable[[Any], int]] = {
     Run: run,
     Study: study,
+    Edit: edit,
     Shapes: shapes,
     Handles: handles,
     Fit: fit,
