@@ -1,0 +1,58 @@
+"""The documentation's site: docs/*.md as they are, the reference from docstrings, the gallery from its scripts.
+
+Build it by `bash .ci/site`, or `sphinx-build -W --keep-going -c docs/site docs site`. It needs `pip install ".[docs]"` and no network.
+"""
+
+import sys
+import tomllib
+from pathlib import Path
+
+HERE = Path(__file__).parent
+ROOT = HERE.parent.parent
+sys.path[:0] = [str(HERE), str(ROOT)]
+
+project = "implicit-vs-mesh"
+release = version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+copyright = "the authors of implicit-vs-mesh, MIT"  # the name that Sphinx wants  # noqa: A001
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.mathjax",
+    "docstring_prose",
+    "reference",
+    "gallery_pages",
+    "repository_links",
+]
+root_doc = "index"
+exclude_patterns = ["site", "gallery/README.md", "**/__pycache__"]
+suppress_warnings = ["myst.header"]  # pages that begin below the first level are read on GitHub too
+nitpicky = True
+# Types of other libraries, and our own that are no public names: there is nothing here to link to.
+nitpick_ignore_regex = [("py:class", r".*"), ("py:data", r"typing\..*"), ("py:obj", r"(typing|collections|jaxtyping)\..*")]
+
+myst_enable_extensions = ["dollarmath", "colon_fence"]
+myst_heading_anchors = 3
+
+autodoc_typehints = "signature"
+autodoc_preserve_defaults = True
+autodoc_member_order = "bysource"
+autodoc_class_signature = "mixed"
+autosummary_generate = False
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+napoleon_use_rtype = False
+add_module_names = False
+python_use_unqualified_type_names = True
+python_display_short_literal_types = True
+python_maximum_signature_line_length = 80
+
+html_theme = "furo"
+html_title = "implicit-vs-mesh"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
+html_show_sphinx = False
+html_copy_source = False
+html_theme_options = {"navigation_with_keys": True}
