@@ -22,8 +22,8 @@ from implicit.edits.smoothing import Until, explicit_step_limit, smooth
 from implicit.edits.flows import Bending, MeanCurvature, Offset
 
 # What an edit asks for, what it holds, and what it gives back
-from implicit.edits.handles import Along, Handle, RigidMotion
-from implicit.edits.regions import Ball, Box, HalfSpace, NearPoints, Region
+from implicit.edits.handles import Along, Handle, RigidMotion, Scaling
+from implicit.edits.regions import Ball, Box, HalfSpace, NearPoints, PickedVertices, Region
 from implicit.evolve.constraints import Holding
 from implicit.evolve.edit import Edit, EditStatus
 
@@ -64,7 +64,7 @@ __all__ = [
     "semantic_edit", "prescribe", "CodePrior",
     "rigid_edit", "trained_rigid_step", "TrainedStep", "LearnedFeatures", "ConstantNormals", "NearIsometric",
     "smooth", "Until", "explicit_step_limit", "MeanCurvature", "Bending", "Offset",
-    "Handle", "Along", "RigidMotion", "Ball", "Box", "HalfSpace", "NearPoints", "Region",
+    "Handle", "Along", "RigidMotion", "Scaling", "Ball", "Box", "HalfSpace", "NearPoints", "PickedVertices", "Region",
     "Holding", "Edit", "EditStatus",
     "basis", "normal_displacement", "adjoint", "basis_function", "BasisFunction", "one_weight_per_layer",
     "surface_modes", "SurfaceModes", "mirror_symmetry",

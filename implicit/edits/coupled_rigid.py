@@ -68,7 +68,7 @@ Places = Callable[[float], FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """What a coupled edit is to reach.
+    """Request of a coupled edit: where the vertices are to be, and what is held.
 
     Attributes:
         rest: The shape at rest.
@@ -127,7 +127,7 @@ def coupled_minimum(field: Field, start: FloatArray, asked: Asked, report: Repor
 
 @dataclass(frozen=True, eq=False)
 class _Goal:
-    """What is minimised at a stage, of the positions of the vertices."""
+    """Function of the positions of the vertices that a stage minimises."""
 
     asked: Asked
     places: FloatArray
