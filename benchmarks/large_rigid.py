@@ -7,11 +7,12 @@ bundled need --meshes, the folder that has them, and fit a network first.
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import gettempdir
 from typing import Any
 
 import numpy as np
@@ -21,11 +22,13 @@ import implicit
 import meshref
 from compare.cases.case import Case
 from compare.cases.default_cases import default_cases
+from compare.cases.handles import HandleSpec
 from compare.cases.subject import Subject
 from compare.paper.rigid_bends import BAR, STAGES, arap_way, turning_handles
 from compare.runs.operations import target_motion
 from compare.runs.subject import prepare_subject
 
+CACHE = Path(gettempdir()) / "implicit-vs-mesh-large-rigid"  # of fits
 CELLS = 128  # at which the edited surface is extracted and its pieces are counted
 
 
@@ -97,13 +100,63 @@ def pull(folder: Path | None) -> Scene:
 def twist(folder: Path | None, degrees: float = 135.0, sides: tuple[float, ...] = BAR, width: int = 32) -> Scene:
     """A bar of softplus units, one end turned about its axis: sines do not turn their edges."""
     V, F = meshref.box(upper=sides, subdivisions=3)
-    with TemporaryDirectory() as here:
-        path = Path(here) / "bar.off"
-        meshref.write_mesh(path, V, F)
-        fit = {"activation": "softplus", "width": width}
-        subject = prepare_subject(Case(str(path), "smooth", fit=fit))
-        case = Case(str(path), "rigid", turning_handles(subject, "twist", degrees))
-        return Scene(f"bar, {degrees:.3g} degrees, width {width}", case, subject, max(STAGES, round(degrees / 20)))
+    path = CACHE / f"bar-{sides[1] / sides[0]:.0f}.off"
+    meshref.write_mesh(path, V, F)
+    case = Case(str(path), "smooth", parameters={"fit": {"activation": "softplus", "width": width}})
+    subject = prepare_subject(case, folder=CACHE)
+    case = Case(str(path), "rigid", turning_handles(subject, "twist", degrees))
+    return Scene(f"bar, {degrees:.3g} degrees, width {width}", case, subject, max(STAGES, round(degrees / 20)))
+
+
+def wide_twist(folder: Path | None) -> Scene:
+    return twist(folder, width=64)
+
+
+def whole_turn(folder: Path | None) -> Scene:
+    """A bar ten times as long as wide, turned once about its axis."""
+    return twist(folder, 360.0, (0.15, 1.5, 0.15))
+
+
+def arm(folder: Path | None) -> Scene:
+    """The armadillo's right arm lowered by 60 degrees, all beyond its shoulder held."""
+    turn = {"kind": "rigid", "center": [-0.2, 0.15, 0.0], "rotation": [0.0, 0.0, math.pi / 3]}
+    held, moved = _half((-0.12, 0, 0), (1, 0, 0)), _half((-0.33, 0, 0), (-1, 0, 0))
+    return _of_file("armadillo, arm, 60 degrees", folder, "armadillo.obj", held, moved, turn)
+
+
+def neck(folder: Path | None) -> Scene:
+    """The dinosaur's head turned aside by 60 degrees about the foot of its neck, its body held."""
+    turn = {"kind": "rigid", "center": [-0.17, 0.0, -0.2], "rotation": [0.0, math.pi / 3, 0.0]}
+    held, moved = _half((-0.05, 0, -0.05), (0.6, 0, 0.8)), _half((-0.25, 0, -0.3), (-0.6, 0, -0.8))
+    return _of_file("dino, neck, 60 degrees", folder, "dino.off", held, moved, turn)
+
+
+def head(folder: Path | None) -> Scene:
+    """The knight's head turned by 45 degrees about his height, his feet held."""
+    turn = {"kind": "rigid", "center": [0.5, 0.8, 0.5], "rotation": [0.0, math.pi / 4, 0.0]}
+    held, moved = _half((0, 0.25, 0), (0, -1, 0)), _half((0, 0.8, 0), (0, 1, 0))
+    return _of_file("knight, 45 degrees", folder, "knight.off", held, moved, turn)
+
+
+def _half(point: tuple[float, ...], normal: tuple[float, ...]) -> dict[str, Any]:
+    return {"kind": "halfspace", "point": list(map(float, point)), "normal": list(map(float, normal))}
+
+
+def _of_file(
+    words: str, folder: Path | None, name: str, held: dict[str, Any], moved: dict[str, Any], turn: dict[str, Any]
+) -> Scene:
+    """A scene of a mesh, its handles in the coordinates of the file."""
+    if folder is None:
+        raise SystemExit(f"{name} is not bundled: name its folder by --meshes.")
+    path = str(folder / name)
+    subject = prepare_subject(Case(path, "smooth"), folder=CACHE)
+    still = {"kind": "vector", "vector": [0.0, 0.0, 0.0]}
+    units = subject.field.units
+    handles = tuple(
+        HandleSpec(region, motion).in_field(units.scale, units.offset)
+        for region, motion in ((held, still), (moved, turn))
+    )
+    return Scene(words, Case(path, "rigid", handles), subject, STAGES)
 
 
 def main() -> None:
@@ -114,6 +167,7 @@ def main() -> None:
     parser.add_argument("--area", action="store_true", help="hold the area")
     parser.add_argument("--method", choices=["auto", "finite", "linear", "coupled"], default="auto")
     given = parser.parse_args()
+    CACHE.mkdir(exist_ok=True)
     held = [make() for make, asked in ((implicit.Volume, given.volume), (implicit.Area, given.area)) if asked]
     print(
         "| scene | H, % | E | pieces, Euler | handles, rms % | volume, % | processor s |\n|---|---|---|---|---|---|---|"
@@ -149,7 +203,9 @@ def main() -> None:
         print("  ", steps, flush=True)
 
 
-SCENES: dict[str, Callable[[Path | None], Scene]] = {"pull": pull, "bend": bend, "twist": twist}
+SCENES: dict[str, Callable[[Path | None], Scene]] = {
+    scene.__name__: scene for scene in (pull, bend, twist, wide_twist, whole_turn, arm, neck, head)
+}
 
 if __name__ == "__main__":
     main()

@@ -23,8 +23,8 @@ from implicit.edits.converged_smoothing import ConvergedSmoothing, converged_smo
 from implicit.edits.flows import Bending, MeanCurvature, Offset
 
 # What an edit asks for, what it holds, and what it gives back
-from implicit.edits.handles import Along, Handle, RigidMotion
-from implicit.edits.regions import Ball, Box, HalfSpace, NearPoints, Region
+from implicit.edits.handles import Along, Handle, RigidMotion, Scaling
+from implicit.edits.regions import Ball, Box, HalfSpace, NearPoints, PickedVertices, Region
 from implicit.evolve.constraints import Holding
 from implicit.evolve.edit import Edit, EditStatus
 
@@ -66,7 +66,7 @@ __all__ = [
     "rigid_edit", "trained_rigid_step", "TrainedStep", "LearnedFeatures", "ConstantNormals", "NearIsometric",
     "smooth", "converged_smooth", "ConvergedSmoothing", "Until", "explicit_step_limit",
     "MeanCurvature", "Bending", "Offset",
-    "Handle", "Along", "RigidMotion", "Ball", "Box", "HalfSpace", "NearPoints", "Region",
+    "Handle", "Along", "RigidMotion", "Scaling", "Ball", "Box", "HalfSpace", "NearPoints", "PickedVertices", "Region",
     "Holding", "Edit", "EditStatus",
     "basis", "normal_displacement", "adjoint", "basis_function", "BasisFunction", "one_weight_per_layer",
     "surface_modes", "SurfaceModes", "mirror_symmetry",

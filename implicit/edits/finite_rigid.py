@@ -23,6 +23,7 @@ from jaxtyping import Float
 from scipy import sparse
 from torch import Tensor
 
+from implicit.edits.coupled_rigid import Asked, coupled_minimum, stages_of
 from implicit.edits.handles import Handle
 from implicit.edits.rigid_placement import Placement
 from implicit.edits.targets import AveragedTargets
@@ -42,6 +43,7 @@ from implicit.step.local_global import Hold, LocalGlobal, Minimum, MinimumStatus
 from implicit.step.problem import Row
 from implicit.step.rest_shape import Deformation
 from implicit.step.surface_map import SurfaceMap
+from implicit.step.tangential_basis import TangentialModel
 from implicit.surface.projection import newton_to_surface
 from implicit.surface.quadrature import SurfaceSample
 from implicit.surface.soundness import Soundness, field_soundness
@@ -70,6 +72,9 @@ KILLING_SHARE = 0.75
 ROUNDS = (150, 300, 600, 1200)
 NEAR, STALLED = 1e-3, 0.7
 SAMPLES, BATCH = 20_000, 2048
+
+# Price of the handles' squared errors in coupled steps, of alpha: a field that is to hold them is held back by them.
+COUPLED_PRICE = 10.0
 
 # Most steps of boundary sensitivity at the end, the strain between surface and points over the energy of these at which
 # no more are taken, and how many times the damping is tried where one breaks the surface.
@@ -103,6 +108,8 @@ class FiniteProblem:
         progress: Called with step, steps and a row.
         seed: Of the random samples.
         start: Deformation that the field shows, of a shape at rest.
+        coupled: Basis of the motion along the surface where field and points are to go together; None takes the points
+            first.
     """
 
     field: Field
@@ -118,6 +125,7 @@ class FiniteProblem:
     progress: Progress | None
     seed: int
     start: Deformation
+    coupled: TangentialModel | None = None
 
 
 def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence[str], began: float) -> Edit:
@@ -133,6 +141,8 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
         ValueError: A region holds no vertex of the mesh, or the field cannot be trained.
     """
     tell, start = _Teller(problem.progress), problem.start
+    if problem.coupled is not None:
+        return _coupled_edit(problem, problem.coupled, before, notes, began)
     minimum = _points(problem, start, tell)
     surface_map = start.map_to(minimum)
     own = [_minimum_note(minimum)] if minimum.status is not MinimumStatus.CONVERGED else []
@@ -178,9 +188,7 @@ def vertices_of(field: Field, start: Deformation) -> SurfaceSample:
 def _points(problem: FiniteProblem, start: Deformation, tell: _Teller) -> Minimum:
     """Return the deformation of least energy."""
     rest, surface = start.rest, start.surface
-    vertices = torch.from_numpy(surface.vertices).to(problem.precise.theta)
-    targets = AveragedTargets(problem.handles, vertices, torch.from_numpy(surface.normals).to(vertices))
-    targets.require_points_in_each_region(problem.precise.units)
+    targets = _targets_of_vertices(problem, start)
     weights = targets.weights.cpu().numpy()
     soft = np.where(weights < 1, KILLING_SHARE * problem.alpha * surface.masses * weights, 0.0)
     hold = Hold(rest.spread((weights >= 1).astype(np.float64)) > 0, rest.spread(soft))
@@ -204,6 +212,53 @@ def _points(problem: FiniteProblem, start: Deformation, tell: _Teller) -> Minimu
     reached = solver.volume.value(free.positions)
     broken = reached < held if bound == "at least" else reached > held
     return minimum(held) if broken else free
+
+
+def _targets_of_vertices(problem: FiniteProblem, start: Deformation) -> AveragedTargets:
+    """Return what the handles ask of the vertices of the mesh."""
+    vertices = torch.from_numpy(start.surface.vertices).to(problem.precise.theta)
+    targets = AveragedTargets(problem.handles, vertices, torch.from_numpy(start.surface.normals).to(vertices))
+    targets.require_points_in_each_region(problem.precise.units)
+    return targets
+
+
+def _coupled_edit(
+    problem: FiniteProblem, tangential: TangentialModel, before: Soundness, notes: Sequence[str], began: float
+) -> Edit:
+    """Return the edit in which field and points go together."""
+    start, tell = problem.start, _Teller(problem.progress)
+    targets = _targets_of_vertices(problem, start)
+    weights = targets.weights.cpu().numpy()
+    whole = (targets.positions(1.0) - targets.points)[targets.prescribed].norm(dim=1)
+    volume, bound = _volume(problem, start)
+    asked = Asked(
+        rest=start.rest,
+        places=lambda fraction: targets.positions(fraction).cpu().numpy(),
+        prices=COUPLED_PRICE * KILLING_SHARE * problem.alpha * start.surface.masses * weights,
+        stages=stages_of(float(whole.max()) / problem.precise.size, turning(targets), problem.steps),
+        volume=volume if bound == "equal" else None,
+        tangential=tangential,
+        seed=problem.seed,
+    )
+    edited, minimum = coupled_minimum(problem.precise, start.positions, asked, tell.points)
+    surface_map = start.map_to(minimum)
+    row = _row(problem, edited, surface_map, minimum, None, time.perf_counter() - began)
+    found = _Found.of(problem, edited, before.topology)
+    end = _End(edited, [row], EditStatus.DONE, (), found.soundness)
+    if problem.constraints or not found.sound:
+        goals = torch.from_numpy(surface_map.moved).to(edited.theta)
+        masses = torch.from_numpy(surface_map.rest.masses).to(edited.theta)
+        operation = TowardsPoints(goals, masses, start.rest.laplacian, problem.seed)
+        end = _mended(problem, found, operation, before.topology, row)
+    edit = _edit(problem, surface_map, end, began)
+    own = [_minimum_note(minimum)] if minimum.status is not MinimumStatus.CONVERGED else []
+    edit = replace(
+        edit,
+        status=edit_status(end.status, reached=reached_target(edit)),
+        notes=(*notes, *own, *end.notes),
+        deformation=Deformation(start.field, start.rest, minimum.positions),
+    )
+    return with_evidence(edit, problem.field, before, problem.resolution, end.soundness)
 
 
 def _volume(problem: FiniteProblem, start: Deformation) -> tuple[float | None, str]:
@@ -448,32 +503,36 @@ def _row(
     edited: Field,
     surface_map: SurfaceMap,
     minimum: Minimum,
-    following: Following,
+    following: Following | None,
     seconds_points: float,
 ) -> Row:
-    """Return the record of the points and of the field that followed, in the columns that every edit has."""
+    """Return the record of the points and of the field that followed, in the columns that every edit has.
+
+    Args:
+        following: None where field and points went together.
+    """
     nan = float("nan")
-    seconds = seconds_points + following.seconds
+    seconds = seconds_points + (0.0 if following is None else following.seconds)
     return {
         "step": 1,
         "energy": minimum.energy,
         "iterations": minimum.iterations,
         "largest_move": minimum.largest_move,
         "volume_gap": minimum.volume_gap,
-        "follow_steps": following.steps,
-        "miss_rms": following.miss_rms,
-        "miss_max": following.miss_max,
-        "crossed": following.crossed,
-        "values_off_surface": following.values,
+        "follow_steps": 0 if following is None else following.steps,
+        "miss_rms": 0.0 if following is None else following.miss_rms,
+        "miss_max": 0.0 if following is None else following.miss_max,
+        "crossed": nan if following is None else following.crossed,
+        "values_off_surface": "carried" if following is None else following.values,
         "seconds_points": seconds_points,
-        "seconds_field": following.seconds,
+        "seconds_field": seconds - seconds_points,
         "constraint_gap": minimum.volume_gap,
-        "residual": following.miss_rms,
+        "residual": 0.0 if following is None else following.miss_rms,
         "objective": minimum.energy,
         "condition": nan,
         "rank": nan,
         "damping": 0.0,
-        "method": "finite rotations",
+        "method": "finite rotations" if following is not None else "finite rotations, coupled",
         "largest_motion": float(np.linalg.norm(surface_map.moved - surface_map.rest.vertices, axis=1).max()),
         "linearity_error": nan,
         "d_theta_norm": float((edited.theta - problem.precise.theta).norm()),

@@ -75,7 +75,46 @@ class RigidMotion:
         return described_fields(self)
 
 
-Displacement = Vector | Callable[[Tensor], Tensor] | Along | RigidMotion
+@dataclass(frozen=True, eq=False, repr=False)
+class Scaling:
+    """Scaling about `center`: x -> center + factor (x - center). The path grows by even factors.
+
+    Args:
+        factor: Positive number, or one for each axis (D,).
+        center: Point (D,) that stays where it is; None is the origin.
+    """
+
+    factor: Vector | float
+    center: Vector | None = None
+
+    def __post_init__(self) -> None:
+        factor = require_numbers("factor of a Scaling", self.factor, "a number, or one for each axis (D,)")
+        if factor.ndim > 1 or not bool((factor > 0).all()):
+            raise ValueError(
+                f"factor of a Scaling must be a positive number, or one for each axis (D,), but is {self.factor!r}."
+            )
+        if self.center is not None:
+            require_place("center of a Scaling", self.center)
+
+    def at(self, fraction: float, points: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
+        """Return where the points are after a fraction of the motion."""
+        zero = points.new_zeros(points.shape[1])
+        center = zero if self.center is None else like(self.center, points, "center of a Scaling")
+        return center + self._factors(points) ** fraction * (points - center)
+
+    def turned(self, vectors: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
+        """Return unit normals after the whole motion."""
+        return torch.nn.functional.normalize(vectors / self._factors(vectors), dim=1)
+
+    def _factors(self, points: Tensor) -> Tensor:
+        factor = exact(self.factor, points)
+        return factor if factor.ndim == 0 else like(factor, points, "factor of a Scaling")
+
+    def __repr__(self) -> str:
+        return described_fields(self)
+
+
+Displacement = Vector | Callable[[Tensor], Tensor] | Along | RigidMotion | Scaling
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -85,7 +124,7 @@ class Handle:
     Args:
         region: Any callable from points (N, D) to weights (N,) in [0, 1].
         displacement: A vector (D,), a function from points to vectors (N, D), Along(distance) for motion
-            along the normal, or RigidMotion.
+            along the normal, RigidMotion, or Scaling.
     """
 
     region: RegionLike
@@ -95,7 +134,7 @@ class Handle:
         require_callable(
             "region of a Handle", self.region, "a region, or a function from points (N, D) to weights (N,)"
         )
-        if not (callable(self.displacement) or isinstance(self.displacement, Along | RigidMotion)):
+        if not (callable(self.displacement) or isinstance(self.displacement, Along | RigidMotion | Scaling)):
             require_place("displacement of a Handle", self.displacement)
 
     def weights(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
@@ -116,8 +155,10 @@ class Handle:
         return weights
 
     def turned(self, vectors: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
-        """Return vectors (N, D), such as normals, after the whole motion: only RigidMotion turns them."""
+        """Return unit normals (N, D) after the whole motion: only RigidMotion and Scaling turn them."""
         motion = self.displacement
+        if isinstance(motion, Scaling):
+            return motion.turned(vectors)
         if not isinstance(motion, RigidMotion):
             return vectors
         return motion.at(1.0, vectors) - motion.at(1.0, torch.zeros_like(vectors))
@@ -131,7 +172,7 @@ class Handle:
             ValueError: The motion does not give a finite place for each point.
         """
         motion = self.displacement
-        if isinstance(motion, RigidMotion):
+        if isinstance(motion, RigidMotion | Scaling):
             moved = motion.at(fraction, points)
         elif isinstance(motion, Along):
             moved = motion.at(fraction, points, normals)

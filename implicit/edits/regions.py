@@ -10,10 +10,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from implicit.arguments import require_callable, require_numbers, require_positive
@@ -158,6 +162,63 @@ class NearPoints(Region):
         centers = like(self.centers, points)
         nearest = torch.cat([torch.cdist(part, centers).amin(dim=1) for part in points.split(4096)])
         return _sink(nearest - self.radius, self.falloff)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PickedVertices(Region):
+    """Points that are nearest to picked vertices of a mesh, of all its vertices: what lies about them up to halfway.
+
+    Args:
+        vertices: All vertices of a mesh of the surface (V, D), such as those of extract_mesh.
+        picked: Numbers of the picked ones (k,), or True for each of them (V,).
+    """
+
+    vertices: Points
+    picked: Sequence[int] | Sequence[bool] | Tensor
+
+    def __post_init__(self) -> None:
+        vertices = require_numbers("vertices of PickedVertices", self.vertices, "points (V, D)")
+        if vertices.ndim != 2 or len(vertices) == 0:
+            raise ValueError(
+                f"vertices of PickedVertices must be points (V, D), but have shape {tuple(vertices.shape)}."
+            )
+        chosen = self._chosen(len(vertices))
+        if not bool(chosen.any()):
+            raise ValueError("PickedVertices needs at least one picked vertex, but got none.")
+
+    def _chosen(self, count: int) -> Tensor:
+        """Return which of the vertices are picked (V,)."""
+        try:
+            picked = torch.as_tensor(self.picked)
+        except (TypeError, ValueError, RuntimeError):
+            picked = torch.zeros(1)
+        whole = picked.dtype in (torch.int16, torch.int32, torch.int64, torch.uint8, torch.int8)
+        inside = whole and picked.ndim == 1 and (not len(picked) or 0 <= int(picked.min()) <= int(picked.max()) < count)
+        if not inside and not (picked.dtype == torch.bool and picked.shape == (count,)):
+            raise ValueError(
+                f"picked of PickedVertices must be numbers of vertices from 0 to {count - 1}, or True for each that is "
+                f"meant ({count},), but is {described(self.picked)}."
+            )
+        if picked.dtype == torch.bool:
+            return picked
+        chosen = torch.zeros(count, dtype=torch.bool)
+        chosen[picked.long()] = True
+        return chosen
+
+    @cached_property
+    def _tree(self) -> tuple[cKDTree, NDArray[np.bool_]]:
+        vertices = require_numbers("vertices of PickedVertices", self.vertices, "points (V, D)")
+        return cKDTree(vertices.cpu().numpy()), self._chosen(len(vertices)).cpu().numpy()
+
+    def __call__(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
+        tree, chosen = self._tree
+        if tree.m != points.shape[1]:
+            raise ValueError(
+                f"vertices of PickedVertices must be in the dimensions of the points, {points.shape[1]}, but are in "
+                f"{tree.m} dimensions."
+            )
+        nearest = tree.query(points.detach().double().cpu().numpy())[1]
+        return torch.from_numpy(chosen[nearest]).to(points)
 
 
 def _sink(distance: Tensor, falloff: float) -> Tensor:

@@ -119,8 +119,10 @@ def rigid_edit(
         handles: Regions with their motions, anchors among them as zero vectors. Weights scale the penalty.
         method: "linear" takes steps that are linear, by a Killing energy; "finite" minimises the energy of finite
             rotations against the rest shape and lets the field follow (implicit.edits.finite_rigid), for motions of
-            any size; "auto" chooses by how much of the motion is left to be bent and turned, says so in `notes`, and
-            takes linear steps where an option is set that these alone have.
+            any size; "coupled" minimises that energy over the parameters and the coefficients of `tangential` together,
+            step by step (implicit.edits.coupled_rigid), for fields of up to 4000 parameters; "auto" chooses between the
+            first two by how much of the motion is left to be bent and turned, says so in `notes`, and takes linear
+            steps where an option is set that these alone have.
         steps: Sub-steps of the linear way; handles with a RigidMotion rotate along their path. Take one per 15 degrees
             or so. Finite rotations take as many stages as the path needs, but no fewer.
         alpha: Weight of the handles' squared error against the strain energy, per squared length. Both energies are
@@ -177,6 +179,11 @@ def rigid_edit(
         method = _finite_alone(method, "a field in 2 dimensions" if planar else "a shape at rest of before")
     points = _checked_points(precise, points)
     choice = _choice(method, precise, handles, points, settings, tangential)
+    if choice.coupled and len(precise.theta) > ALL_PARAMETERS:
+        raise ValueError(
+            f'method "coupled" takes up to {ALL_PARAMETERS:,} parameters, all of which are unknowns of a step, but the '
+            f'field has {len(precise.theta):,}. Take method="finite".'
+        )
     if choice.finite:
         vertices = max(VERTICES, points) if isinstance(points, int) else VERTICES
         if start is None:
@@ -196,6 +203,7 @@ def rigid_edit(
             progress=progress,
             seed=seed,
             start=start,
+            coupled=_tangential_model(precise, tangential, seed) if choice.coupled else None,
         )
         return finite_rigid_edit(finite, field_soundness(field, resolution), choice.notes, began)
     operation = prepare(precise, handles, settings, tangential, points)
@@ -244,11 +252,11 @@ def _by_linear_steps(
 
 def _finite_alone(method: Method, what: str) -> Method:
     """Return the way of an edit that finite rotations alone can make, or refuse another."""
-    if method == "linear":
+    if method in ("linear", "coupled"):
         raise ValueError(
-            f'method must be "auto" or "finite" for {what}, but is "linear": linear steps strain the surface as it is, '
-            "along itself and as it bends in space. Finite rotations deform the inside of a curve, and know a shape at "
-            "rest."
+            f'method must be "auto" or "finite" for {what}, but is "{method}": linear steps strain the surface as it '
+            "is, along itself and as it bends in space, and coupled ones move its own points alone. Finite rotations "
+            "deform the inside of a curve, and know a shape at rest."
         )
     return "finite" if method == "auto" else method
 
@@ -395,11 +403,9 @@ def prepare(
     """
     if require_field(precise).dimension != 3:
         raise ValueError(f"rigid_edit needs a field in 3 dimensions, but this one has {precise.dimension}.")
-    if tangential is not None and not callable(getattr(tangential, "slopes", None)):
-        raise TypeError(f"tangential must be None or a model such as CosineFeatures(field), but is {tangential!r}.")
+    model = _tangential_model(precise, tangential, settings.seed)
     _require_combinations(precise)
     sample, targets = _carried(precise, handles, points, settings.seed)
-    model = CosineFeatures(precise, seed=settings.seed) if tangential is None else tangential
     return RigidOperation(sample, targets, settings, model)
 
 
@@ -512,6 +518,13 @@ def _combinations(field: Field) -> int | None:
         return COMBINATIONS
     room = NUMBERS // len(field.theta)
     return 0 if room < FEWEST_COMBINATIONS else min(COMBINATIONS, room)
+
+
+def _tangential_model(precise: Field, tangential: TangentialModel | None, seed: int) -> TangentialModel:
+    """Return the basis of the motion along the surface, or refuse what is none."""
+    if tangential is not None and not callable(getattr(tangential, "slopes", None)):
+        raise TypeError(f"tangential must be None or a model such as CosineFeatures(field), but is {tangential!r}.")
+    return CosineFeatures(precise, seed=seed) if tangential is None else tangential
 
 
 def _require_combinations(precise: Field) -> None:

@@ -364,6 +364,9 @@ def _of_regions() -> Iterator[BadCase]:
     yield from refusals("NearPoints", "centers", near, lambda x: implicit.NearPoints(x, 0.1))
     yield from refusals("NearPoints", "radius", positives()[:3], lambda x: implicit.NearPoints(POINTS, x))
     yield from refusals("NearPoints", "falloff", not_negatives(), lambda x: implicit.NearPoints(POINTS, 0.1, x))
+    picked: list[Bad] = [("none", []), ("too large", [10**6]), ("negative", [-1]), ("a word", "all"), ("NaN", [np.nan])]
+    yield from refusals("PickedVertices", "picked", picked, lambda x: implicit.PickedVertices(POINTS, x))
+    yield from refusals("PickedVertices", "vertices", near[:2], lambda x: implicit.PickedVertices(x, [0]))
     others: list[Bad] = [("a number", 3), ("None", None)]
     yield from refusals("Region &", "other", others, lambda x: EVERYWHERE & x, "region")
     yield from refusals("Region |", "other", others, lambda x: EVERYWHERE | x, "region")
@@ -409,6 +412,11 @@ def _of_handles() -> Iterator[BadCase]:
             "RigidMotion", name, shifts,
             lambda x, name=name: edit(implicit.Handle(EVERYWHERE, implicit.RigidMotion((0, 0, 0.1), **{name: x}))),
         )  # fmt: skip
+    factors: list[Bad] = [("zero", 0.0), ("negative", -1.0), ("NaN", np.nan), ("a word", "twice"), ("None", None)]
+    yield from refusals("Scaling", "factor", factors, implicit.Scaling)
+    yield from refusals(
+        "Scaling", "center", shifts, lambda x: edit(implicit.Handle(EVERYWHERE, implicit.Scaling(2.0, x)))
+    )
     regions: list[Bad] = [
         ("of the wrong shape", lambda x: x),
         ("above one", lambda x: 2 + x[:, 0]),

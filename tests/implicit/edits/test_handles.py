@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from implicit import Along, Ball, HalfSpace, Handle, RigidMotion
+from implicit import Along, Ball, HalfSpace, Handle, RigidMotion, Scaling
 
 POINTS = torch.tensor([[0.0, 0, 0], [0.5, 0, 0], [1.0, 0, 0], [0, 2.0, 0]], dtype=torch.float64)
 EVERYWHERE = Ball((0, 0, 0), 9)
@@ -116,3 +116,25 @@ def pull(points):
 )
 def test_a_handle_is_printed_in_one_line(value, words):
     assert repr(value) == words
+
+
+def test_scaling_leaves_its_centre_and_grows_by_even_factors():
+    motion = Scaling(4.0, center=(1, 0, 0))
+    expected = torch.tensor([[-1.0, 0, 0], [0, 0, 0], [1, 0, 0], [-1, 4, 0]], dtype=torch.float64)
+    torch.testing.assert_close(motion.at(0.5, POINTS), expected)
+    torch.testing.assert_close(Scaling((1, 3, 1)).at(1.0, POINTS)[3], torch.tensor([0, 6.0, 0], dtype=torch.float64))
+
+
+def test_scaling_turns_normals_as_an_ellipsoid_has_them():
+    """Those of x^2 + y^2 + z^2 = 1 become those of x^2 + (y / 3)^2 + z^2 = 1, along (x, y / 9, z)."""
+    x = torch.nn.functional.normalize(torch.tensor([[1.0, 2, -1], [0, 1, 0], [3, 1, 1]], dtype=torch.float64), dim=1)
+    there = x * torch.tensor([1.0, 3, 1])
+    steep = torch.nn.functional.normalize(there / torch.tensor([1.0, 9, 1]), dim=1)
+    torch.testing.assert_close(Handle(EVERYWHERE, Scaling((1, 3, 1))).turned(x), steep)
+    torch.testing.assert_close(Handle(EVERYWHERE, Scaling(0.2, (5, 5, 5))).turned(x), x)
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, (1.0, 0.0, 1.0), [[1.0, 2.0]]])
+def test_a_scaling_that_is_none_is_refused(factor):
+    with pytest.raises(ValueError, match="factor of a Scaling must be a positive number"):
+        Scaling(factor)

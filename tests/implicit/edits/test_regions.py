@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from implicit import Along, Ball, Box, HalfSpace, Handle, NearPoints
+from implicit import Along, Ball, Box, HalfSpace, Handle, NearPoints, PickedVertices
 
 POINTS = torch.tensor([[0.0, 0, 0], [0.5, 0, 0], [1.0, 0, 0], [0, 2.0, 0]], dtype=torch.float64)
 
@@ -71,3 +71,23 @@ def test_falloff_stays_between_zero_and_one_in_single_precision():
 )
 def test_a_region_is_printed_in_one_line(region, words):
     assert repr(region) == words
+
+
+def test_picked_vertices_hold_what_is_nearest_to_them():
+    line = torch.tensor([[0.2, 0, 0], [0.3, 0, 0], [0.8, 5, 0], [0.7, 0, 0]], dtype=torch.float64)
+    for picked in ([1, 2], torch.tensor([2, 1]), [False, True, True, False]):
+        assert PickedVertices(POINTS, picked)(line).tolist() == [0, 1, 0, 1]
+    assert weights(PickedVertices(POINTS, [0, 3])) == [1, 0, 0, 1]
+
+
+@pytest.mark.parametrize("picked", [[4], [-1], [0.5], [True, False], "all", [[0]]])
+def test_vertices_that_are_not_there_are_refused(picked):
+    with pytest.raises(ValueError, match="picked of PickedVertices must be numbers of vertices from 0 to 3"):
+        PickedVertices(POINTS, picked)
+
+
+def test_no_picked_vertices_are_refused():
+    with pytest.raises(ValueError, match="at least one picked vertex"):
+        PickedVertices(POINTS, torch.zeros(0, dtype=torch.long))
+    with pytest.raises(ValueError, match="dimensions of the points, 2"):
+        PickedVertices(POINTS, [0])(POINTS[:, :2])
