@@ -20,7 +20,6 @@ from compare.runs.executors import executor_of
 from compare.runs.records import Record
 from compare.studies import study as studies
 from compare.studies.diagram import DiagramRow
-from compare.studies.diagram_page import sentences
 from compare.studies.diagram_run import DIAGRAM_FILE, read_head, run_diagram
 from compare.studies.diagrams import DIAGRAMS
 from compare.studies.study_folder import STUDY_FILE, Begun, finished, run_study
@@ -118,6 +117,8 @@ def _diagram(command: Study) -> int:
         raise InputError(
             "A diagram is of seconds: its points are measured one after another here. Leave the option out."
         )
+    from compare.studies.diagram_page import sentences  # matplotlib, which other commands do without
+
     name, shapes, quick, folder = _chosen_diagram(command)
     diagram, say = DIAGRAMS[name], speaker(command.quiet, to_stderr=True)
     with progress_bars(command.quiet) as bars:

@@ -81,7 +81,14 @@ def run_edit(
         path=_path(edited, subject, seconds),
         details=details,
         notes=[*edited.notes, *_events(edited)],
+        estimates=_estimates(edited),
     )
+
+
+def _estimates(edit: Edit) -> dict[str, float]:
+    """Return how well it is known that what an edit holds was held, where it holds anything."""
+    last = edit.history[-1] if edit.history else {}
+    return {"constraint_error": float(last["constraint_error"])} if "constraint_error" in last else {}
 
 
 def _events(edit: Edit) -> list[str]:

@@ -71,6 +71,7 @@ class Outcome:
     peak_memory: float | None = None  # megabytes, see compare.runs.memory
     details: Mapping[str, Any] = default(default_factory=dict)
     notes: Sequence[str] = ()  # what the editor says of the result, a sentence each
+    estimates: Mapping[str, float] = default(default_factory=dict)  # of errors, by their names in a row
 
 
 # Gives what a method makes of a case; None where it has no answer for it.

@@ -18,6 +18,7 @@ from math import isfinite
 from time import perf_counter
 from typing import Any
 
+import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
@@ -25,6 +26,7 @@ from compare.cases.case import Case
 from compare.cases.subject import Subject
 from compare.errors import Progress
 from compare.operations.operation import (
+    Column,
     Editor,
     Halfway,
     Headline,
@@ -46,7 +48,8 @@ class Smooth(Operation):
     name = "smooth"
     takes_handles = False
     settings = ("steps", "step_size")
-    full: Mapping[str, Any] = {"steps": 8, "step_size": 1e-3, "implicit": {"points": 2000}}
+    # Sixteen steps leave spot 0.3 % of its diagonal from the flow; each halving takes twice the time for a third of it.
+    full: Mapping[str, Any] = {"steps": 8, "step_size": 1e-3, "implicit": {"points": 2000, "most_steps": 16}}
     quick: Mapping[str, Any] = {
         "steps": 4,
         "step_size": 1e-3,
@@ -54,6 +57,16 @@ class Smooth(Operation):
     }
     error_means = "motion along the normal minus that of the other representation"
     headline = Headline("volume_drift", "volume {}")
+    columns = (
+        Column(
+            "flow_error_relative",
+            "flow±",
+            "estimated error of the steps of a flow, rms along the normal, over the diagonal of the shape's box",
+            percent=True,
+            brief=False,
+            label="estimated error of the flow's steps, relative",
+        ),
+    )
 
     def option_sources(self) -> Mapping[str, tuple[Callable[..., Any], ...]]:
         """Return the two flows."""
@@ -90,7 +103,9 @@ class Smooth(Operation):
             "time_error_max": flowed.time_error_max * scale,
             "area_error": flowed.area_error * scale**2,
         }
-        return replace(outcome, status=status, path=list(outcome.path)[every - 1 :: every], details=details)
+        estimates = {**outcome.estimates, "flow_error_relative": flowed.time_error_rms / _diagonal(subject)}
+        path = list(outcome.path)[every - 1 :: every]
+        return replace(outcome, status=status, path=path, details=details, estimates=estimates)
 
     def mesh_editors(self) -> Mapping[str, Editor]:
         """Return the same flow on the mesh, and the conformalised one."""
@@ -103,6 +118,10 @@ class Smooth(Operation):
 
 def _steps(case: Case) -> dict[str, Any]:
     return {name: case.parameters[name] for name in Smooth.settings}
+
+
+def _diagonal(subject: Subject) -> float:
+    return float(np.linalg.norm(np.ptp(subject.V, axis=0)))
 
 
 def _not_converged(error: float) -> str:
@@ -150,6 +169,7 @@ def _flow(case: Case, subject: Subject, target: Target, progress: Progress | Non
             "time_error_rms": found.time_error_rms * subject.scale,
             "time_error_max": found.time_error_max * subject.scale,
         },
+        estimates={"flow_error_relative": found.time_error_rms / _diagonal(subject)},
     )
 
 

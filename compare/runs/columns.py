@@ -63,6 +63,33 @@ _JUDGED = (
         label="handles missed, relative",
     ),
 )
+# How well the above is known.
+_ESTIMATED = (
+    Column(
+        "volume_error",
+        "volume±",
+        "estimated error of the volume's drift, of the quadratures of the field",
+        percent=True,
+        brief=False,
+        label="estimated error of the volume's drift",
+    ),
+    Column(
+        "area_error",
+        "area±",
+        "estimated error of the area's drift, of the quadratures of the field",
+        percent=True,
+        brief=False,
+        label="estimated error of the area's drift",
+    ),
+    Column(
+        "constraint_error",
+        "held±",
+        "estimated error with which it is known that the volume was held",
+        percent=True,
+        brief=False,
+        label="estimated error of what is held",
+    ),
+)
 _COSTS = (
     Column("seconds", "s", "seconds of the editor alone", label="seconds of the editor", unit="s"),
     Column("peak_memory", "MB", "peak memory of the editor, megabytes", brief=False, unit="MB"),
@@ -72,7 +99,7 @@ _COSTS = (
 def columns() -> tuple[Column, ...]:
     """Return the columns of every table, in their order."""
     own = [column for operation in operations() for column in operation.columns]
-    return (*_JUDGED, *own, *_COSTS)
+    return (*_JUDGED, *own, *_ESTIMATED, *_COSTS)
 
 
 def column_of(name: str) -> Column | None:

@@ -76,6 +76,7 @@ def measure(
         "displacement_max": float(np.linalg.norm(D, axis=1).max()) * scale,
         **{f"{operation.error_name}_{what}": value * unit for what, value in statistics.items()},
         **_missed(subject, target, D, weights),
+        **outcome.estimates,
         "seconds": outcome.seconds,
         "seconds_by_phase": dict(outcome.seconds_by_phase),
         "peak_memory": outcome.peak_memory,
@@ -170,16 +171,18 @@ class Edited:
 
 
 def measure_field(subject: Subject, edited: implicit.Field, resolution: int = 64) -> dict[str, float]:
-    """Return volume and area of the field itself before and after, by fourth-order quadrature.
+    """Return volume and area of the field itself before and after, by fourth-order quadrature, with their errors.
 
     They take the place of those of the common mesh carried along, which has the error of its flat triangles.
     """
-    samples = [(field, implicit.surface_quadrature(field, resolution)) for field in (subject.field, edited)]
-    (volume, volume_after), (area, area_after) = (
-        [functional.value(field, sample) for field, sample in samples]
-        for functional in (implicit.Volume(), implicit.Area())
-    )
-    return _sizes(subject.scale, (volume, volume_after), (area, area_after))
+    held = (implicit.Volume(), implicit.Area())
+    found = [[implicit.integrate(field, of, resolution) for of in held] for field in (subject.field, edited)]
+    (volume, area), (volume_after, area_after) = found
+    return {
+        **_sizes(subject.scale, (volume.value, volume_after.value), (area.value, area_after.value)),
+        "volume_error": (volume.error + volume_after.error) / abs(volume.value),
+        "area_error": (area.error + area_after.error) / abs(area.value),
+    }
 
 
 def between(

@@ -102,6 +102,10 @@ class SideRow(Row):
     area_before: Number
     area_after: Number
     area_drift: Number
+    volume_error: Number  # estimated, of the drifts of a field
+    area_error: Number
+    flow_error_relative: Number  # estimated, for smoothing
+    constraint_error: Number  # estimated, where something is held
     displacement_max: Number
     error_mean: Number
     error_rms: Number

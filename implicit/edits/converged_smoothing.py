@@ -17,7 +17,7 @@ from torch import Tensor
 
 from implicit.arguments import require_positive, require_whole
 from implicit.edits.smoothing import smooth
-from implicit.evolve.edit import Edit, EditStatus, Progress
+from implicit.evolve.edit import Edit, EditStatus, Progress, require_options
 from implicit.field.field import Field
 from implicit.surface.sampling import sample_surface
 
@@ -83,6 +83,7 @@ def converged_smooth(
         ValueError: An option is out of range.
         TypeError: It is none of smooth.
     """
+    require_options(field, track=track, progress=progress)
     require_positive("time", time)
     require_whole("steps", steps)
     require_whole("most_steps", most_steps)

@@ -32,6 +32,7 @@ def cases() -> Iterator[BadCase]:
     yield from _of_fields()
     yield from _of_regions()
     yield from _of_handles()
+    yield from _of_converged()
     yield from _of_edits()
     yield from _of_samples()
     yield from _of_functionals()
@@ -107,6 +108,7 @@ TAKES_A_FIELD: dict[str, Call] = {
     "semantic_edit": lambda f: implicit.semantic_edit(f, POINTS, WAYS),
     "prescribe": lambda f: implicit.prescribe(f, HANDLE),
     "smooth": lambda f: implicit.smooth(f, steps=1),
+    "converged_smooth": lambda f: implicit.converged_smooth(f, time=1e-4),
     "trained_rigid_step": lambda f: implicit.trained_rigid_step(f, [HANDLE]),
     "save_field": lambda f: implicit.save_field(f, "a.safetensors"),
     "Volume.value": lambda f: implicit.Volume().value(f, SAMPLE),
@@ -150,6 +152,7 @@ def _of_points() -> Iterator[BadCase]:
         "geometric_edit": lambda t: implicit.geometric_edit(BALL, HANDLE, points=SAMPLE, track=t),
         "semantic_edit": lambda t: implicit.semantic_edit(BALL, POINTS, 0.1 * POINTS, track=t),
         "smooth": lambda t: implicit.smooth(BALL, steps=1, step_size=1e-4, points=20, resolution=16, track=t),
+        "converged_smooth": lambda t: implicit.converged_smooth(BALL, time=1e-4, steps=1, points=20, track=t),
     }
     for function, call in edits.items():
         yield from refusals(function, "track", bad_tracks, call)
@@ -457,8 +460,19 @@ def _smooth(name: str) -> Call:
     return lambda x: implicit.smooth(BALL, **{"steps": 1, "step_size": 1e-4, "points": 20, "resolution": 16, name: x})
 
 
+def _converged(name: str) -> Call:
+    return lambda x: implicit.converged_smooth(BALL, **{"time": 1e-4, "steps": 1, "points": 20, name: x})
+
+
 def _semantic(name: str) -> Call:
     return lambda x: implicit.semantic_edit(BALL, POINTS, 0.1 * POINTS, **{name: x})
+
+
+def _of_converged() -> Iterator[BadCase]:
+    for name in ("time", "tolerance"):
+        yield from refusals("converged_smooth", name, positives(), _converged(name))
+    for name in ("steps", "most_steps"):
+        yield from refusals("converged_smooth", name, counts(), _converged(name))
 
 
 def _of_edits() -> Iterator[BadCase]:

@@ -69,6 +69,7 @@ TAKES_A_MESH: dict[str, Call] = {
     "laplacian_smooth": meshref.laplacian_smooth,
     "taubin_smooth": meshref.taubin_smooth,
     "isotropic_remesh": lambda v, f: meshref.isotropic_remesh(v, f, 0.5),
+    "decimate": lambda v, f: meshref.decimate(v, f, 4),
     "hausdorff_distance": lambda v, f: meshref.hausdorff_distance(V, F, v, f, n=10),
 }
 
@@ -302,6 +303,7 @@ def _of_options() -> Iterator[BadCase]:
     )
     yield from refusals("isotropic_remesh", "edge_length", positives(), lambda x: meshref.isotropic_remesh(V, F, x))
     yield from refusals("isotropic_remesh", "iterations", counts(), lambda x: meshref.isotropic_remesh(V, F, 0.5, x))
+    yield from refusals("decimate", "faces", counts(4), lambda x: meshref.decimate(V, F, x))
     yield from refusals("hausdorff_distance", "n", counts(), lambda x: meshref.hausdorff_distance(V, F, V, F, x))
     yield from refusals("icosphere", "subdivisions", [*counts(0), ("enormous", 40)], meshref.icosphere)
     yield from refusals("icosphere", "radius", positives(), lambda x: meshref.icosphere(1, x))

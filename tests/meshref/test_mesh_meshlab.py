@@ -10,6 +10,7 @@ from meshref import (
     MeshError,
     box,
     check_mesh,
+    decimate,
     hausdorff,
     hausdorff_distance,
     icosphere,
@@ -46,6 +47,19 @@ def test_remeshing_reaches_the_edge_length():
     edges = np.linalg.norm(V2[F2] - V2[np.roll(F2, -1, axis=1)], axis=2)
     assert edges.mean() == pytest.approx(0.15, rel=0.2)
     assert volume(V2, F2) == pytest.approx(volume(V, F), rel=0.02)
+
+
+def test_decimating_keeps_what_is_flat_and_the_number_of_faces_that_is_asked_for():
+    """A cube of 192 faces is as good with 12; a sphere of fewer faces has its chords within."""
+    V, F = decimate(*box(subdivisions=2), faces=12)
+    check_mesh(V, F, closed=True)
+    assert len(F) == 12
+    assert volume(V, F) == pytest.approx(1, abs=1e-6)
+    V, F = icosphere(3)
+    V2, F2 = decimate(V, F, faces=200)
+    check_mesh(V2, F2, closed=True)
+    assert len(F2) == 200
+    assert volume(V2, F2) == pytest.approx(volume(V, F), rel=0.05)
 
 
 def test_distances_agree_with_ours_both_ways():

@@ -69,7 +69,7 @@ def test_the_shell_can_complete_commands_and_options(tmp_path):
 
 def test_studies_are_listed_with_what_they_show(command, tmp_path):
     rows = json.loads(command("study", "--list", "--json", cwd=tmp_path).stdout)
-    assert {"resolution", "points", "width", "damping", "step-size"} <= set(rows)
+    assert {"resolution", "points", "width", "damping", "step-size", "work-precision", "representation"} <= set(rows)
     assert "Resolution of the mesh against error" in command("study", "--list", cwd=tmp_path).stdout
 
 

@@ -184,12 +184,13 @@ def test_every_headline_is_a_column_and_every_error_has_a_meaning():
 def test_the_order_of_the_operations_is_that_of_the_tables():
     assert list(OPERATIONS)[:3] == ["geometric", "smooth", "rigid"]
     names = [column.name for column in columns()]
-    assert names[:6] == [
+    assert names[:7] == [
         "killing_energy",
         "volume_drift",
         "area_drift",
         "handle_error_relative",
         "error_relative",
+        "flow_error_relative",
         "strain_rms",
     ]
 

@@ -5,6 +5,8 @@ import math
 
 import pytest
 
+from compare.commands import exits
+from compare.commands.study import Study, study
 from compare.errors import InputError
 from compare.studies import diagram_run
 from compare.studies.diagram import Diagram, DiagramRow, Point, timed
@@ -132,6 +134,23 @@ def test_the_shrinking_sphere_is_its_own_reference(tmp_path):
     found = [p.measure() for p in points if p.row.panel == "smoothing" and p.row.method == "converged steps"]
     assert all(row["floor"] < 1e-12 for row in found)
     assert 0 < found[1]["error"] < found[0]["error"] < 0.01
+
+
+def test_the_command_measures_a_diagram_goes_on_with_its_folder_and_says_who_is_cheaper(
+    tmp_path, undrawn, monkeypatch, capsys
+):
+    diagram = Made(failures=1)
+    monkeypatch.setitem(DIAGRAMS, "made", diagram)
+    folder = tmp_path / "out"
+    assert study(Study(name="made", output=folder, quiet=True)) == exits.FAILED
+    assert study(Study(name=str(folder))) == exits.DONE
+    assert len(diagram.measured) == 7
+    said = capsys.readouterr().out
+    assert said.startswith("Volume, sphere, against seconds: ")
+    assert "the field" in said
+    for refused in (Study(name="made", workers=2), Study(name=str(folder), quick=True)):
+        with pytest.raises(InputError, match="Leave the option"):
+            study(refused)
 
 
 @pytest.mark.nightly
