@@ -95,7 +95,7 @@ def fit(command: Fit) -> int:
                 hole_limit=command.hole_limit,
                 budget=command.budget,
                 checkpoint=command.checkpoint,
-                progress=lambda step, steps, _: tell(step, steps, "fitting a field"),
+                progress=lambda step, steps, _: tell(step, steps, f"{command.mesh.name}, fitting a field"),
             )
         except (ValueError, TypeError) as error:  # a checkpoint of another fit, say
             raise InputError(str(error)) from error

@@ -13,7 +13,7 @@ import tyro
 
 from compare.commands import exits
 from compare.commands.checks import require_folder_for
-from compare.commands.shown import add_task, progress_bars, speaker, teller
+from compare.commands.shown import add_task, print_markdown, progress_bars, speaker, teller
 from compare.errors import InputError
 
 
@@ -69,7 +69,8 @@ def paper(command: Paper) -> int:
         except KeyboardInterrupt:
             raise KeyboardInterrupt("The parts that are done are kept; add --resume to go on with the rest.") from None
         request.tell(1, 1, "done")
-    say((command.output / "findings.md").read_text(encoding="utf-8"))
+    if not command.quiet:
+        print_markdown((command.output / "findings.md").read_text(encoding="utf-8"))
     for path in pictures(command.output):
         say(str(path))
     measured = read_measured(command.output / FILE)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -18,6 +18,7 @@ from compare.cases.handles_file import HandlesFile, read_handles
 from compare.cases.registry import OPERATIONS
 from compare.commands.checks import absolute_name, require_budget, require_folder_for, require_hole_limit, require_seed
 from compare.commands.exits import FAILED
+from compare.commands.run_settings import PAGE, finished_records, keep_settings
 from compare.commands.shown import (
     add_task,
     advance,
@@ -30,10 +31,11 @@ from compare.commands.shown import (
 )
 from compare.errors import InputError, Progress
 from compare.fitting.mending import Mending
+from compare.reports.table import FILE as TABLE, write_table
 from compare.runs.executors import WorkerDiedError, executor_of
 from compare.runs.lock import lock
-from compare.runs.records import FILE, read
-from compare.runs.subject import check_shape, modules_of, prepare_subject
+from compare.runs.records import FILE, Record, read
+from compare.runs.subject import check_shape, modules_of, prepare_subject, require_file
 
 if TYPE_CHECKING:
     OperationName = str
@@ -92,16 +94,14 @@ def run(command: Run) -> int:
         command.module = absolute_name(command.module)
     say = speaker(command.quiet, to_stderr=command.json)
     _require_distinct(command.shapes)
+    if command.resume and (ready := _finished(command, folder)) is not None:
+        return _show(command, ready, folder, say, [])
     modules = modules_of(command.shapes, command.module)
     require_hole_limit(command.hole_limit)
     require_budget(command.budget)
     own = None if command.handles is None else _own_handles(command)
     mending = Mending(command.bodies, command.hole_limit)
     mended = say_mending(say, command.shapes, lambda name: check_shape(name, modules[name], mending))
-
-    from compare.reports.report import report as write_report
-    from compare.reports.table import FILE as TABLE, write_table
-    from compare.runs.run import run_cases
 
     folder.mkdir(parents=True, exist_ok=True)
     with (
@@ -111,9 +111,14 @@ def run(command: Run) -> int:
     ):
         total = add_task(bars, "all", len(command.shapes) * len(command.operations))
         tell = teller(bars, add_task(bars, "", None) if executor is None else None)
+        tell(0, 1, "loading the libraries")
+        from compare.reports.report import report as write_report
+        from compare.runs.run import run_cases
 
         try:
             cases = _cases(command, modules, folder, executor, tell, own)
+            keep_settings(command, cases, folder)
+            advance(bars, total, _done(cases, folder))
             records = run_cases(
                 cases,
                 executor,
@@ -126,12 +131,32 @@ def run(command: Run) -> int:
             on = f"What is done is kept; the same command with --resume -o {folder} goes on with the rest."
             raise KeyboardInterrupt(on) from None
     write_table(records, folder / TABLE)
-    page = write_report(records, folder / "report.html", up=command.up)
+    write_report(records, folder / PAGE, up=command.up)
+    return _show(command, records, folder, say, mended)
+
+
+def _finished(command: Run, folder: Path) -> list[Record] | None:
+    """Return the records of a folder that has nothing left to be done, or None."""
+    for name in command.shapes:
+        require_file(name)
+    return finished_records(command, folder)
+
+
+def _done(cases: Sequence[Case], folder: Path) -> int:
+    """Return how many of the cases a folder holds already, without failure."""
+    there = {record.key for record in read(folder) if not record.failed} if (folder / FILE).is_file() else set()
+    return len({case.key for case in cases} & there)
+
+
+def _show(
+    command: Run, records: Sequence[Record], folder: Path, say: Callable[[str], None], said: Sequence[str]
+) -> int:
+    """Print what came of a run; return the exit code."""
     if command.json:
         print_json(records)
     elif not command.quiet:
-        print_table(records, said=mended)
-        say(f"{folder}: {FILE}, {TABLE}, edited fields, meshes, and {page.name} to open in a browser.")
+        print_table(records, said=said)
+        say(f"{folder}: {FILE}, {TABLE}, edited fields, meshes, and {PAGE} to open in a browser.")
     return FAILED if any(record.failed for record in records) else 0
 
 

@@ -56,39 +56,62 @@ def progress_bars(quiet: bool) -> AbstractContextManager[Bars | None]:
         TimeElapsedColumn,
         TimeRemainingColumn,
     )
+    from rich.table import Column
 
-    # On stderr, so that --json leaves stdout to the records.
+    console = Console(stderr=True)  # so that --json leaves stdout to the records
+    # Words give way where there is little room, the numbers and clocks do not.
+    words = TextColumn("{task.description}", markup=False, table_column=Column(ratio=1, no_wrap=True))
     return Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
+        words,
+        BarColumn(bar_width=max(8, min(40, console.width - 64))),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
-        TextColumn("{task.fields[what]}", markup=False),
-        console=Console(stderr=True),
+        console=console,
+        expand=True,
         speed_estimate_period=SPEED_PERIOD,
     )
 
 
 def add_task(bars: Bars | None, name: str, total: int | None, done: int = 0) -> Any:
     """Add a bar; it is not full until its total is known."""
-    return None if bars is None else bars.add_task(name, total=total, completed=done, what="")
+    return None if bars is None else bars.add_task(name, total=total, completed=done)
 
 
 def teller(bars: Bars | None, task: Any) -> Callable[[int, int, str], None]:
-    """Return the progress callback of the library, for a bar."""
+    """Return the progress callback of the library, for a bar whose clock begins anew with each thing that is done."""
+    doing: str | None = None
 
     def tell(step: int, steps: int, what: str) -> None:
-        if bars is not None and task is not None:
-            bars.update(task, completed=step, total=steps, what=what)
+        nonlocal doing
+        if bars is None or task is None:
+            return
+        bar = bars.tasks[task]
+        if step < bar.completed or (step == 0 and what != doing):
+            bars.reset(task, completed=0)
+        doing = what
+        # Until a step is done, how many there are is no measure of anything: the bar only shows that it is at work.
+        bar.total = steps if step else None  # an update cannot take a total away
+        bars.update(task, completed=step, description=what)
 
     return tell
 
 
-def advance(bars: Bars | None, task: Any) -> None:
-    """Count one more as done."""
+def advance(bars: Bars | None, task: Any, by: int = 1) -> None:
+    """Count one more as done, or several."""
     if bars is not None:
-        bars.advance(task)
+        bars.advance(task, by)
+
+
+def print_markdown(text: str) -> None:
+    """Print a page of markdown as one reads it on a terminal; to a file or a pipe as it is."""
+    if not sys.stdout.isatty():
+        print(text)
+        return
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    Console().print(Markdown(text))
 
 
 def print_json(records: Sequence[Record]) -> None:

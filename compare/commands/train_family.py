@@ -71,14 +71,15 @@ def train_family(command: TrainFamily) -> int:
             f"--device {command.device}: torch finds no CUDA device here. Leave it out to train on the CPU."
         )
     with progress_bars(command.quiet) as bars:
-        tell = teller(bars, add_task(bars, f"{command.architecture}, {command.family}", None))
+        name = f"{command.architecture}, {command.family}"
+        tell = teller(bars, add_task(bars, name, None))
         try:
             report = train_and_save(
                 command.family,
                 command.architecture,
                 command.output,
                 dtype=torch.float16 if command.half else torch.float32,
-                progress=lambda step, steps, loss: tell(step, steps, f"loss {loss:.2g}"),
+                progress=lambda step, steps, loss: tell(step, steps, f"{name}, loss {loss:.2g}"),
                 checkpoint=command.checkpoint,
                 device=command.device,
                 seed=command.seed,

@@ -16,9 +16,10 @@ import torch
 from compare.cases.case import Case
 from compare.cases.handles import rounded
 from compare.cases.subject import Subject
-from compare.errors import Progress
+from compare.errors import Progress, begin
 from compare.operations.cavities import carried
 from compare.operations.operation import Editor, Outcome, Target, operation_of
+from compare.runs.columns import SIDES
 from compare.runs.memory import with_peak_memory
 from implicit.edits.targets import SummedTargets
 
@@ -92,6 +93,7 @@ def edit_by_each(
 
     def add(editors: Mapping[str, Editor]) -> None:
         for name, editor in editors.items():
+            begin(progress, f"{case.operation}, {SIDES.get(name, name)}")
             try:
                 outcome, peak = with_peak_memory(partial(editor, case, subject, target, progress))
             except TypeError:

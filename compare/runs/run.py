@@ -19,7 +19,7 @@ import implicit
 import meshref
 from compare.cases.case import Case
 from compare.cases.subject import Subject
-from compare.errors import Progress
+from compare.errors import Progress, begin, naming
 from compare.operations.operation import Outcome, Target, operation_of
 from compare.runs import records
 from compare.runs.columns import SIDES
@@ -60,11 +60,13 @@ def run_case(
     """
     folder = None if folder is None else Path(folder)
     subject = prepare_subject(case, folder=folder, progress=progress)
+    progress = naming(progress, case.name)
     operation = operation_of(case.operation)
     target = target_motion(case, subject)
     sides, failures = edit_by_each(case, subject, target, progress)
     errors = {name: _error(case, subject, target, name, sides) for name in sides}
 
+    begin(progress, f"{case.operation}, measures")
     start = perf_counter()
     result, edited = _edited_surface(case, subject, sides, failures)
     rows = {

@@ -20,7 +20,7 @@ from numpy import ndarray
 
 from compare.cases.case import BUNDLED, FIELD_SUFFIX, MESH_SUFFIXES, Case, NameOfFile
 from compare.cases.subject import Subject
-from compare.errors import InputError, Progress
+from compare.errors import InputError, Progress, begin, naming
 from compare.files import plain, replace_file
 from compare.fitting.mending import Mending, read_mended
 from compare.runs.rows import SubjectRow
@@ -60,7 +60,7 @@ def check_shape(shape: str, module: str | None = None, mending: Mending | None =
     Raises:
         InputError: There is no such shape or file, or the mesh is beyond mending.
     """
-    suffix = _require_file(shape)
+    suffix = require_file(shape)
     if suffix is None:
         return []
     if suffix == FIELD_SUFFIX:
@@ -94,7 +94,7 @@ def modules_of(shapes: Sequence[str], module: str | None) -> dict[str, str | Non
     if module is None:
         return needed
     for shape in shapes:
-        if _require_file(shape) == FIELD_SUFFIX:
+        if require_file(shape) == FIELD_SUFFIX:
             try:
                 needed[shape] = module if builder_of(shape) is not None else None
             except (ValueError, OSError) as error:
@@ -117,7 +117,7 @@ def saving_options(case: Case) -> dict[str, Any]:
     return {"builder": str(case.module), "arguments": {} if built is None else built[1]}
 
 
-def _require_file(shape: str) -> str | None:
+def require_file(shape: str) -> str | None:
     """Return the ending of the file that holds a shape, None for a bundled one; refuse what is neither."""
     path = Path(shape)
     if shape in BUNDLED:
@@ -189,7 +189,7 @@ def prepare_subject(case: Case, *, folder: Path | None = None, progress: Progres
 
     if not isinstance(case, Case):
         raise TypeError(f"case must be a Case(shape, operation, ...), but is {case!r}.")
-    _require_file(case.shape)
+    require_file(case.shape)
     if isinstance(case.module, NameOfFile):
         raise InputError(
             f"The case was read from a file, which says that {case.module} builds the network of {case.shape}. No code "
@@ -199,6 +199,7 @@ def prepare_subject(case: Case, *, folder: Path | None = None, progress: Progres
     files = None if folder is None else _Files(folder / "subjects" / f"{case.name}-{case.subject_key}", case)
     if files is not None and files.complete:
         return files.read()
+    progress = naming(progress, case.name)
     start = perf_counter()
     notes: list[str] = []
     fit: dict[str, Any] | None = None
@@ -210,6 +211,7 @@ def prepare_subject(case: Case, *, folder: Path | None = None, progress: Progres
         source, fit, notes = _fit(case, progress)
     edited = source.to(torch.float64)
     fitted = perf_counter()
+    begin(progress, "the common mesh")
     V, F, remarks = common_mesh(edited, case.vertices, case.resolution)
     N = edited.normal(torch.from_numpy(V)).numpy()
     seconds = {"field": fitted - start, "common mesh": perf_counter() - fitted}
