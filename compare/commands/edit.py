@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from compare.cases.case import MESH_SUFFIXES
 from compare.commands import exits
 from compare.commands.checks import require_folder_for, require_seed
 from compare.commands.shown import add_task, progress_bars, speaker, teller
@@ -105,7 +106,7 @@ def _session(command: Edit) -> Any:
 
     folder = command.session or Path("results") / f"edit-{time.strftime('%Y%m%d-%H%M%S')}"
     fit = {"seed": command.seed, **(QUICK_FIT if command.quick else {})}
-    mesh = Path(command.shape).suffix.lower() in (".obj", ".off", ".ply", ".stl", ".glb", ".gltf", ".3mf", ".dae")
+    mesh = Path(command.shape).suffix.lower() in MESH_SUFFIXES
     opening = Opening(command.code, command.module, fit if mesh else {})
     with progress_bars(command.quiet) as bars:
         tell = teller(bars, add_task(bars, command.shape, None))

@@ -128,7 +128,7 @@ SCRIPT = '''"""Edits of {shape}, as they were made in the editor. Run it to make
 from compare import HandleSpec
 from compare.editor import EditSession, Opening, Settings
 
-session = EditSession.open({shape!r}{opening})
+session = EditSession.open({shape!r}{opening}, drawn={drawn})
 {edits}
 if __name__ == "__main__":
     from pathlib import Path
@@ -153,7 +153,9 @@ def script(session: EditSession, name: str = "edits.py") -> str:
     words = "" if opening == type(opening)() else f", opening={opening!r}"
     edits = "".join(_call(entry) for entry in session.history)
     stem = f"{Path(session.source.shape).stem.replace(':', '-')}-edited"
-    return SCRIPT.format(shape=session.source.shape, name=name, opening=words, edits=edits, stem=stem)
+    return SCRIPT.format(
+        shape=session.source.shape, name=name, opening=words, drawn=session.drawn, edits=edits, stem=stem
+    )
 
 
 def _call(entry: Entry) -> str:

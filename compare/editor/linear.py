@@ -158,7 +158,7 @@ class LinearModel:
         weights = sample.weights if rest == "fixed" else ((moving > 0) | (anchored > 0)).to(sample.weights)
         self.grip = next(picked.grip for picked in regions if picked.role == "moves")
         asked = _asked(sample.points, sample.normals, moving, self.grip)
-        self.changes = _solved(field, sample, weights, asked, hold)
+        self.changes = _solved(field, sample, weights, asked, _Held(surface, hold))
         V, N = (torch.from_numpy(x).to(field.theta) for x in (surface.V, surface.N))
         lengths = field.gradient_length(field.gradient(V))
         columns = [implicit.normal_displacement(field, V, x, lengths) for x in self.changes.T.contiguous()]
@@ -258,9 +258,9 @@ def _solved(
     sample: implicit.SurfaceSample,
     weights: Tensor,
     asked: Tensor,
-    hold: Sequence[str],
+    held: _Held,
 ) -> Tensor:
-    """Return the changes of theta (P, C) that come nearest to what is asked."""
+    """Return the changes of theta (P, C) that come nearest to what is asked, those that hold what is held."""
     used = weights > 0
     points, weights, asked = sample.points[used], weights[used], asked[used]
     if len(points) * len(field.theta) > DENSE_ENTRIES:
@@ -276,19 +276,38 @@ def _solved(
     dual = torch.zeros_like(target)
     for part in range(1, PARTS + 1):
         dual = dual + torch.cholesky_solve(target * part / PARTS - gram @ dual, factor)
-    if hold:
-        held_rows = _held(field, points, weights, hold).double()
-        away = torch.cholesky_solve(held_rows, factor)
-        products = held_rows.T @ gram
-        dual = dual - away @ torch.linalg.lstsq(products @ away, products @ dual).solution
-    return (rows.T @ dual).to(sample.points)
+    changes = rows.T @ dual
+    if held.names:
+        # The least change of the objective that the sample's points see, as far as the whole surface asks for it.
+        away = rows.T @ torch.cholesky_solve(held.curvatures(field, points) * weights.sqrt()[:, None].double(), factor)
+        rates = held.rates(field)
+        changes = changes - away @ torch.linalg.lstsq(rates @ away, rates @ changes).solution
+    return changes.to(sample.points)
 
 
-def _held(field: implicit.Field, points: Tensor, weights: Tensor, hold: Sequence[str]) -> Tensor:
-    """Return the dual coordinates (N, H) of the sensitivities of volume and area [paper, eq. 7]."""
-    root = weights.sqrt()
-    columns = [root if name == "volume" else root * field.mean_curvature(points) for name in hold]
-    return torch.stack(columns, dim=1)
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """Volume and area, held to first order: their rates are integrals of 1 and of kappa times b [paper, eq. 7].
+
+    Attributes:
+        surface: On which they are integrated.
+        names: Of "volume" and "area".
+    """
+
+    surface: Surface
+    names: Sequence[str]
+
+    def curvatures(self, field: implicit.Field, points: Tensor) -> Tensor:
+        """Return what the speed of each point (N, H) is weighed by in the rates."""
+        ones = torch.ones_like(points[:, 0])
+        parts = [ones if name == "volume" else field.mean_curvature(points) for name in self.names]
+        return torch.stack(parts, dim=1).double()
+
+    def rates(self, field: implicit.Field) -> Tensor:
+        """Return the rates (H, P) for each parameter."""
+        V, areas = (torch.from_numpy(x).to(field.theta) for x in (self.surface.V, self.surface.areas))
+        weighed = self.curvatures(field, V).to(areas) * areas[:, None]
+        return torch.stack([implicit.adjoint(field, V, column) for column in weighed.T.contiguous()]).double()
 
 
 def _solved_one_by_one(field: implicit.Field, points: Tensor, weights: Tensor, asked: Tensor) -> Tensor:

@@ -76,6 +76,8 @@ class EditSession:
         source: What it begins with.
         folder: Where the session is kept after each edit; None keeps it in memory alone.
         settings: Of edits that name no others.
+        drawn: Cells along the longest side of the drawn mesh and of the quadrature. The same edits give the same field
+            at the same number of them.
 
     Attributes:
         source: What it began with.
@@ -90,9 +92,15 @@ class EditSession:
     """
 
     def __init__(
-        self, source: Source, folder: str | PathLike[str] | None = None, settings: Settings | None = None
+        self,
+        source: Source,
+        folder: str | PathLike[str] | None = None,
+        settings: Settings | None = None,
+        *,
+        drawn: int = DRAWN,
     ) -> None:
         self.source = source
+        self.drawn = drawn
         self.settings = Settings() if settings is None else settings
         self.regions: list[Picked] = []
         self.entries: list[Entry] = []
@@ -102,7 +110,7 @@ class EditSession:
         self._last: tuple[int, Measured, Evidence] | None = None  # of the edit that was made last
         self._models: dict[Any, LinearModel] = {}
         self._called_off = Event()
-        self._measured = _measured(source.field)
+        self._measured = self._measure(source.field)
         if self._folder is not None:
             if self._folder.holds_session:
                 raise InputError(f"{self._folder.path} holds a session already. Go on with it, or name another folder.")
@@ -118,6 +126,7 @@ class EditSession:
         opening: Opening | None = None,
         settings: Settings | None = None,
         progress: Told | None = None,
+        drawn: int = DRAWN,
     ) -> EditSession:
         """Begin a session with a shape, or go on with the one in the folder.
 
@@ -127,13 +136,15 @@ class EditSession:
             opening: How the shape is taken in.
             settings: Of edits that name no others.
             progress: Called as progress(step, steps, what) while a field is fitted to a mesh.
+            drawn: Cells along the longest side of the drawn mesh and of the quadrature.
 
         Raises:
             InputError: The shape cannot be used, or the folder holds a session of another shape.
         """
         if folder is not None and Folder(Path(folder)).holds_session:
-            return cls.load(folder, shape=shape, module=None if opening is None else opening.module, settings=settings)
-        return cls(open_source(shape, opening, progress), folder, settings)
+            module = None if opening is None else opening.module
+            return cls.load(folder, shape=shape, module=module, settings=settings, drawn=drawn)
+        return cls(open_source(shape, opening, progress), folder, settings, drawn=drawn)
 
     @classmethod
     def load(
@@ -143,6 +154,7 @@ class EditSession:
         shape: str | None = None,
         module: str | None = None,
         settings: Settings | None = None,
+        drawn: int = DRAWN,
     ) -> EditSession:
         """Go on with a session that was saved.
 
@@ -152,6 +164,7 @@ class EditSession:
                 here.
             module: What builds the network of a field's file, if something does.
             settings: Of edits that name no others.
+            drawn: As for open.
 
         Raises:
             InputError: There is none, it cannot be read, or it is of another shape.
@@ -163,7 +176,7 @@ class EditSession:
                 f"{kept.path} holds a session of {row['shape']}, but the shape is {shape}. Name another folder."
             )
         source = _source_of(kept, row, shape, module)
-        session = cls(source, None, settings)
+        session = cls(source, None, settings, drawn=drawn)
         session._folder = kept
         session.entries = list(row["edits"])
         session._fields = [source.field]
@@ -374,7 +387,7 @@ class EditSession:
             )
             if not edit.history:
                 raise InputError(f"{edit.status.value} No step could be taken, and the field is as it was.")
-            after = _measured(edit.field)
+            after = self._measure(edit.field)
             evidence = Evidence.of(before.surface, edit)
         except (ValueError, TypeError, RuntimeError) as error:
             raise _in_words(error) from error
@@ -479,7 +492,7 @@ class EditSession:
         Raises:
             InputError: An edit cannot be done again.
         """
-        again = EditSession(self.source, None, self.settings)
+        again = EditSession(self.source, None, self.settings, drawn=self.drawn)
         for entry in self.history:
             again.do(entry.handles, entry.tool, entry.settings, name=entry.name, progress=progress)
         return again
@@ -508,7 +521,7 @@ class EditSession:
         if self._last is not None and self._last[0] == position + 1:
             measured = self._last[1]
         else:
-            measured = _measured(self._fields[position])
+            measured = self._measure(self._fields[position])
         self.position, self._measured = position, measured
         if save:
             self._save()
@@ -516,6 +529,15 @@ class EditSession:
     def _save(self) -> None:
         if self._folder is not None:
             self._folder.write(self.source, self.entries, self.position)
+
+    def _measure(self, field: implicit.Field) -> Measured:
+        meshed = meshed_quadrature(field, self.drawn)
+        quadrature = meshed.sample
+        N = field.normal(meshed.vertices).double().numpy()
+        V, F = meshed.vertices.double().numpy(), meshed.faces.numpy()
+        surface = Surface(V, F, N, meshref.vertex_areas(V, F))
+        volume, area = implicit.Volume().value(field, quadrature), float(quadrature.weights.sum())
+        return Measured(field, surface, quadrature, volume, area, meshref.component_count(V, F))
 
     def _grip(self, picked: Picked, motion: Motion) -> Triple:
         """Return where the place by which a region is held is on the surface, once the motion is done."""
@@ -531,16 +553,6 @@ class EditSession:
             found = torch.from_numpy(V[((V - goal.double().numpy()) ** 2).sum(axis=1).argmin()][None])
         x, y, z = found[0].tolist()
         return (x, y, z)
-
-
-def _measured(field: implicit.Field) -> Measured:
-    meshed = meshed_quadrature(field, DRAWN)
-    quadrature = meshed.sample
-    N = field.normal(meshed.vertices).double().numpy()
-    V, F = meshed.vertices.double().numpy(), meshed.faces.numpy()
-    surface = Surface(V, F, N, meshref.vertex_areas(V, F))
-    volume = implicit.Volume().value(field, quadrature)
-    return Measured(field, surface, quadrature, volume, float(quadrature.weights.sum()), meshref.component_count(V, F))
 
 
 def _measures(source: Source, measured: Measured) -> dict[str, float]:

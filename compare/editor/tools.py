@@ -101,15 +101,32 @@ def settled(
         field: The field.
         handles: What goes where.
         surface: Of the field, as drawn.
+
+    Raises:
+        InputError: The surface is to go where the field cannot have it.
     """
+    longest = 0.0
+    if tool != "smooth" and handles:
+        points, normals = torch.from_numpy(surface.V), torch.from_numpy(surface.N)
+        targets = SummedTargets([handle.build() for handle in handles], points, normals)
+        _require_within(field, targets.positions(1.0))
+        longest = targets.largest()
     if settings.steps is not None:
         return settings
-    steps = LEAST_STEPS
-    if tool in ("geometric", "rigid") and handles:
-        points, normals = torch.from_numpy(surface.V), torch.from_numpy(surface.N)
-        longest = SummedTargets([handle.build() for handle in handles], points, normals).largest()
-        steps = min(MOST_STEPS, max(steps, math.ceil(longest / (STEP * field.size))))
-    return replace(settings, steps=steps)
+    return replace(settings, steps=min(MOST_STEPS, max(LEAST_STEPS, math.ceil(longest / (STEP * field.size)))))
+
+
+def _require_within(field: implicit.Field, goal: Tensor) -> None:
+    """Refuse places that are out of the field's bounds, which no edit could reach, however long it tried."""
+    lower, upper = field.bounds.to(goal)
+    beyond = torch.maximum(lower - goal, goal - upper).amax(dim=1)
+    farthest = int(beyond.argmax())
+    if float(beyond[farthest]) > 0:
+        place, low, high = (", ".join(f"{x:.3g}" for x in row.tolist()) for row in (goal[farthest], lower, upper))
+        raise InputError(
+            f"The surface is to go to ({place}), out of the field's bounds, ({low}) to ({high}). Drag less far; the "
+            "field is as it was."
+        )
 
 
 def run_tool(
