@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from compare.cases.subject import Subject
     from compare.errors import InputError
     from compare.fitting.fit import FitReport, fit_mesh
+    from compare.reports.show import draw, show
     from compare.runs.executors import Workers
     from compare.runs.records import Record
     from compare.runs.run import run_case, run_cases
@@ -37,6 +38,8 @@ _MODULES = {
     "HandleSpec": "cases.handles",
     "default_cases": "cases.default_cases",
     "Record": "runs.records",
+    "show": "reports.show",
+    "draw": "reports.show",
     "fit_mesh": "fitting.fit",
     "FitReport": "fitting.fit",
     "prepare_subject": "runs.subject",
@@ -56,6 +59,8 @@ __all__ = [
     "default_cases",
     "Record",
     "report",
+    "show",
+    "draw",
     "fit_mesh",
     "FitReport",
     "prepare_subject",

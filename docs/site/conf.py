@@ -27,8 +27,9 @@ extensions = [
     "repository_links",
 ]
 root_doc = "index"
+source_suffix = {".md": "markdown", ".rst": "restructuredtext", ".py": "markdown"}  # scripts: see gallery_pages.py
 exclude_patterns = ["site", "gallery/README.md", "**/__pycache__"]
-suppress_warnings = ["myst.header"]  # pages that begin below the first level are read on GitHub too
+suppress_warnings = ["ref.python"]  # fields of several results have one name, `seconds`, and need no link
 nitpicky = True
 # Types of other libraries, and our own that are no public names: there is nothing here to link to.
 nitpick_ignore_regex = [("py:class", r".*"), ("py:data", r"typing\..*"), ("py:obj", r"(typing|collections|jaxtyping)\..*")]

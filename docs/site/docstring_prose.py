@@ -1,6 +1,10 @@
 """Docstrings as prose: what they say in plain text is not markup, names in backticks are code, formulas are set apart."""
 
+import ast
+import dataclasses
+import inspect
 import re
+import textwrap
 from typing import Any
 
 from sphinx.application import Sphinx
@@ -42,8 +46,26 @@ def set_apart(lines: list[str]) -> list[str]:
     return made
 
 
+def remarks(thing: type) -> list[str]:
+    """Return an Attributes section from the comments behind the fields of a dataclass or named tuple."""
+    source = textwrap.dedent(inspect.getsource(thing))
+    lines = source.splitlines()
+    (tree,) = ast.parse(source).body
+    assert isinstance(tree, ast.ClassDef)
+    found = []
+    for node in tree.body:
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            remark = lines[int(node.end_lineno or node.lineno) - 1][int(node.end_col_offset or 0) :].partition("#")[2].strip()
+            if remark and not node.target.id.startswith("_"):
+                found.append(f"    {node.target.id}: {remark[0].upper()}{remark[1:]}.")
+    return ["", "Attributes:", *found] if found else []
+
+
 def process(app: Sphinx, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
     """Rewrite the lines of a docstring in place, before its sections are read."""
+    if what == "class" and (dataclasses.is_dataclass(thing) or hasattr(thing, "_fields")):
+        if "Attributes:" not in lines and "Args:" not in lines:
+            lines += remarks(thing)
     lines[:] = set_apart(lines)
 
 

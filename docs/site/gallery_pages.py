@@ -1,2 +1,91 @@
-def setup(app):
+"""Scripts of the gallery as pages: comments become prose, the rest stays code, with the picture and what is printed.
+
+A script begins with a docstring, its title and a few sentences. Lines "# %%" part it into cells, and the comment that
+begins a cell is prose. NAME.png and NAME.txt beside it are what draw_gallery.py has kept of a run.
+
+    ```{gallery}
+    bump
+    twist
+    ```
+
+gives a picture each that leads to the pages.
+"""
+
+import ast
+from pathlib import Path
+from typing import Any
+
+from docutils import nodes
+from docutils.parsers.rst import Directive
+from docutils.statemachine import StringList
+from sphinx.application import Sphinx
+
+FOLDER = "gallery/"
+
+
+def title_of(source: str) -> str:
+    """Return the first line of a script's docstring."""
+    return str(ast.get_docstring(ast.parse(source))).splitlines()[0]
+
+
+def cells_of(source: str) -> list[tuple[str, str]]:
+    """Return the cells of a script: prose and code each."""
+    tree = ast.parse(source)
+    head = str(ast.get_docstring(tree)).partition("\n")[2].strip()
+    body = "\n".join(source.splitlines()[tree.body[0].end_lineno :])
+    first, *others = body.split("\n# %%\n")
+    cells = [(head, first.strip("\n"))]
+    for cell in others:
+        lines = cell.split("\n")
+        code = next((k for k, line in enumerate(lines) if not line.startswith("#")), len(lines))
+        prose = " ".join(line.removeprefix("#").strip() for line in lines[:code])
+        cells.append((prose, "\n".join(lines[code:]).strip("\n")))
+    return cells
+
+
+def page_of(name: str, source: str, printed: str | None, picture: bool) -> str:
+    """Return the page of a script in Markdown."""
+    parts = [f"# {title_of(source)}"]
+    for k, (prose, code) in enumerate(cells_of(source)):
+        parts.append(prose)
+        if k == 0 and picture:
+            parts.append(f"![{title_of(source)}]({name}.png)")
+        if code:
+            parts.append(f"```python\n{code}\n```")
+    if printed:
+        parts.append(f"It prints:\n\n```text\n{printed.rstrip()}\n```")
+    parts.append(f"Take it along: {{download}}`{name}.py`.")
+    return "\n\n".join(parts) + "\n"
+
+
+def read(app: Sphinx, docname: str, content: list[str]) -> None:
+    """Turn a script that Sphinx has read into its page."""
+    path = Path(app.srcdir) / f"{docname}.py"
+    if docname.startswith(FOLDER) and path.is_file():
+        printed = path.with_suffix(".txt")
+        text = printed.read_text(encoding="utf-8") if printed.is_file() else None
+        content[0] = page_of(path.stem, content[0], text, path.with_suffix(".png").is_file())
+
+
+class Gallery(Directive):
+    """Pictures that lead to the pages of scripts."""
+
+    has_content = True
+
+    def run(self) -> list[nodes.Node]:
+        """Write a link around each picture, and the title below it."""
+        folder = Path(str(self.state.document.current_source)).parent
+        lines = []
+        for name in (line.strip() for line in self.content):
+            title = title_of((folder / f"{name}.py").read_text(encoding="utf-8"))
+            lines += [f"[![{title}]({name}.png)]({name}.py) [{title}]({name}.py)", ""]
+        box = nodes.container(classes=["thumbnails"])
+        self.state.nested_parse(StringList(lines, str(folder)), self.content_offset, box)
+        return [box]
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Register."""
+    app.connect("source-read", read)
+    app.add_directive("gallery", Gallery)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

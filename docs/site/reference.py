@@ -37,7 +37,9 @@ class Names(Directive):
         module = self.arguments[0]
         names = [line.strip() for line in self.content if line.strip()]
         lines = [f".. currentmodule:: {module}", "", ".. autosummary::", "   :nosignatures:", ""]
-        lines += [f"   {name}" for name in names] + [""]
+        things = [getattr(import_module(module), name) for name in names]
+        documented = [n for n, thing in zip(names, things, strict=True) if inspect.isclass(thing) or inspect.isroutine(thing)]
+        lines += [f"   {name}" for name in documented] + [""]
         for name in names:
             lines += ["", *self._directive(module, name)]
         source = self.state.document.current_source or ""
@@ -54,7 +56,11 @@ class Names(Directive):
             if hasattr(thing, "__members__"):  # the sentences of a status are its values
                 members = ["   :members:", "   :undoc-members:"]
             return [f".. autoclass:: {name}", *members]
-        return [f".. {'autofunction' if inspect.isroutine(thing) else 'autodata'}:: {name}"]
+        if inspect.isroutine(thing):
+            return [f".. autofunction:: {name}"]
+        if isinstance(thing, tuple | dict):  # names to choose from; what is printed of others says what they are
+            return [f".. py:data:: {name}", "", "   " + ", ".join(f"``{entry}``" for entry in thing)]
+        return [f".. py:data:: {name}", "", f"   ``{repr(thing).splitlines()[0]}``"]
 
 
 class LinkedNames(SphinxPostTransform):

@@ -1,28 +1,28 @@
-"""Links from pages to files of the repository that are no pages: sources, data, the README."""
+"""Links from pages to files of the repository outside docs, as they are on GitHub: on the site they are paths in code."""
 
+import re
 from pathlib import Path
-from typing import Any
 
-from docutils import nodes
 from sphinx.application import Sphinx
-from sphinx.util import logging
 
-logger = logging.getLogger(__name__)
+LINK = re.compile(r"(?<!!)\[([^\]]+)\]\((?:\.\./)+([^)#]+)(?:#[^)]*)?\)")
 
 
-def resolve(app: Sphinx, env: Any, node: Any, contnode: nodes.Element) -> nodes.Element | None:
-    """Take a link to a file of the repository for its path in code, and leave others to the warning that is due."""
-    if node.get("reftype") != "myst":
-        return None
-    target = str(node["reftarget"]).partition("#")[0]
-    file = (Path(app.srcdir) / node["refdoc"]).parent / target
+def read(app: Sphinx, docname: str, content: list[str]) -> None:
+    """Replace links that lead out of docs to a file that is there; others are left to the warning that is due."""
     root = Path(app.srcdir).parent
-    if target and file.is_file() and file.resolve().is_relative_to(root.resolve()):
-        return nodes.literal("", str(file.resolve().relative_to(root.resolve())))
-    return None
+
+    def path(match: re.Match[str]) -> str:
+        text, target = match[1].strip("`"), match[2]
+        if not (root / target).exists() or (root / "docs" / target).exists():
+            return match[0]
+        return f"`{target}`" if text in (target, Path(target).name) else f"{match[1]} (`{target}`)"
+
+    if docname.count("/") == 0:
+        content[0] = LINK.sub(path, content[0])
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register."""
-    app.connect("missing-reference", resolve)
+    app.connect("source-read", read)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,4 +1,4 @@
-"""The README's table of results is just what the command makes of the findings that are kept beside it."""
+"""The tables of results are just what the command makes of the findings that are kept beside them."""
 
 import dataclasses
 import re
@@ -9,10 +9,11 @@ import pytest
 
 from compare.paper import PARTS, Finding, Measured
 from compare.paper.findings import FILE, read_measured, write_measured
-from compare.paper.readme_table import main, section, with_section
+from compare.paper.readme_table import FIRST, first_section, main, section, with_section
 
 ROOT = Path(__file__).resolve().parents[3]
 RESULTS = ROOT / "docs" / "results.json"
+PAGE = ROOT / "docs" / "results.md"
 
 
 @pytest.fixture(scope="module")
@@ -20,23 +21,29 @@ def kept():
     return read_measured(RESULTS)
 
 
-def test_the_table_of_the_readme_is_what_the_command_makes_of_the_findings(tmp_path):
-    before = (ROOT / "README.md").read_text(encoding="utf-8")
-    shutil.copy(ROOT / "README.md", tmp_path / "README.md")
-    assert main(["--readme", str(tmp_path / "README.md"), "--results", str(RESULTS)]) == 0
-    assert (tmp_path / "README.md").read_text(encoding="utf-8") == before
+def test_the_tables_are_what_the_command_makes_of_the_findings(tmp_path):
+    pages = {"--readme": ROOT / "README.md", "--page": PAGE}
+    options = [word for option, page in pages.items() for word in (option, shutil.copy(page, tmp_path))]
+    assert main([*options, "--results", str(RESULTS)]) == 0
+    for page in pages.values():
+        assert (tmp_path / page.name).read_text(encoding="utf-8") == page.read_text(encoding="utf-8")
+
+
+def test_the_first_page_has_each_of_its_rows(kept):
+    rows = [line.split(" | ")[1] for line in first_section(kept).splitlines() if line.startswith("| ")]
+    assert sorted(rows[1:]) == sorted(FIRST)
 
 
 def test_another_finding_makes_another_table(kept):
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    text = PAGE.read_text(encoding="utf-8")
     (part,) = (part for part in kept if part.part == "basis")
     found = dataclasses.replace(next(f for f in part.findings if f.headline), ours=2274)
     changed = [dataclasses.replace(part, findings=(found,)) if old is part else old for old in kept]
     assert with_section(text, section(changed)) != text
 
 
-def test_the_findings_are_at_full_settings_and_the_readme_names_the_parts_that_have_none(kept):
-    text = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+def test_the_findings_are_at_full_settings_and_the_page_names_the_parts_that_have_none(kept):
+    text = " ".join(PAGE.read_text(encoding="utf-8").split())
     said = re.search(r"Not measured yet: ([\w, ]+)\.", text)
     missing = said[1].split(", ") if said else []
     names = [part.part for part in kept]
@@ -63,17 +70,20 @@ def made(part, settings):
 
 
 @pytest.fixture
-def readme(tmp_path):
-    """A README with room for the table, and options that name it."""
-    path = tmp_path / "README.md"
-    path.write_text(with_section((ROOT / "README.md").read_text(encoding="utf-8"), "nothing yet"), encoding="utf-8")
-    return path, ["--readme", str(path), "--results", str(tmp_path / "results.json")]
+def page(tmp_path):
+    """A page with room for the table, and options that name it."""
+    for source in (ROOT / "README.md", PAGE):
+        text = with_section(source.read_text(encoding="utf-8"), "nothing yet")
+        (tmp_path / source.name).write_text(text, encoding="utf-8")
+    path = tmp_path / PAGE.name
+    options = ["--readme", tmp_path / "README.md", "--page", path, "--results", tmp_path / "results.json"]
+    return path, [str(option) for option in options]
 
 
-def test_parts_are_taken_over_folder_by_folder_and_newer_ones_take_the_place_of_older(readme, tmp_path):
+def test_parts_are_taken_over_folder_by_folder_and_newer_ones_take_the_place_of_older(page, tmp_path):
     settings = {"quick": False, "seed": 0, "meshes": {}}
     parts = [made(name, settings) for name in PARTS]
-    path, options = readme
+    path, options = page
     write_measured([dataclasses.replace(part, seconds=9.0) for part in parts[:4]], tmp_path / "a" / FILE)
     assert main([str(tmp_path / "a"), *options]) == 0
     assert f"Not measured yet: {', '.join(list(PARTS)[4:])}." in " ".join(path.read_text(encoding="utf-8").split())
@@ -90,19 +100,19 @@ def test_parts_are_taken_over_folder_by_folder_and_newer_ones_take_the_place_of_
     ("settings", "sentence"),
     [(None, "holds no findings"), ({"quick": True}, "are quick ones"), ({"seed": 1}, "other settings")],
 )
-def test_what_is_not_for_showing_is_refused_and_nothing_is_written(settings, sentence, readme, tmp_path, capsys):
+def test_what_is_not_for_showing_is_refused_and_nothing_is_written(settings, sentence, page, tmp_path, capsys):
     usual = {"quick": False, "seed": 0, "meshes": {}}
     write_measured([made("basis", usual)], tmp_path / "results.json")
     if settings is not None:
         write_measured([made("rope", {**usual, **settings})], tmp_path / FILE)
-    path, options = readme
+    path, options = page
     before = path.read_bytes(), (tmp_path / "results.json").read_bytes()
     assert main([str(tmp_path), *options]) == 2
     assert sentence in capsys.readouterr().err
     assert (path.read_bytes(), (tmp_path / "results.json").read_bytes()) == before
 
 
-def test_a_readme_without_room_for_the_table_is_refused(tmp_path, capsys):
+def test_a_page_without_room_for_the_table_is_refused(tmp_path, capsys):
     (tmp_path / "README.md").write_text("# Nothing\n")
-    assert main(["--readme", str(tmp_path / "README.md"), "--results", str(RESULTS)]) == 2
+    assert main(["--readme", str(tmp_path / "README.md"), "--page", str(PAGE), "--results", str(RESULTS)]) == 2
     assert "must hold <!-- results" in capsys.readouterr().err

@@ -1,0 +1,28 @@
+"""Smooth, with the volume or the area held
+
+Mean-curvature flow shrinks what it smooths. Any integral can be held to its digits while it flows.
+"""
+
+import compare
+import implicit
+from implicit import Area, Volume, shapes
+
+cow = shapes.bundled("spot")
+
+# %%
+# One flow, three times: free, at constant volume, at constant area.
+options = {"steps": 4, "step_size": 1e-3, "points": 300, "directions": 150, "resolution": 32}
+edits = {
+    "free": implicit.smooth(cow, **options),
+    "volume held": implicit.smooth(cow, constraints=[Volume()], **options),
+    "area held": implicit.smooth(cow, constraints=[Area()], **options),
+}
+
+# %%
+# `integrate` measures with an estimate of its own error.
+before = {one: implicit.integrate(cow, one()).value for one in (Volume, Area)}
+for name, edit in edits.items():
+    change = {one.__name__: implicit.integrate(edit.field, one()).value / before[one] - 1 for one in before}
+    print(f"{name}: " + ", ".join(f"{what} {100 * by:+.2g} %" for what, by in change.items()))
+
+compare.draw(cow, *edits.values(), titles=["before", *edits], path="smoothing.png")
