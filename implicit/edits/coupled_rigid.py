@@ -17,7 +17,7 @@ path is taken in stages; of what came before nothing is kept but where the verti
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -53,8 +53,9 @@ WINDOW, HALVINGS = 8, 6
 # Damping of the first step and the least, relative to the trace of the normal matrix.
 FIRST_DAMPING, LEAST_DAMPING = 1e-7, 1e-9
 
-# Off the surface, as in implicit.edits.towards_points: relative to the mean mass of a vertex.
-OFF_SURFACE_STRENGTH, OFF_SURFACE_POINTS = 0.1, 1000
+# Of the energy off the surface, relative to the mean mass of a vertex, points that carry it, drawn anew each time, and
+# the share of a distance's deviation from one that a linearisation is to undo: many of them drift.
+OFF_SURFACE_STRENGTH, OFF_SURFACE_POINTS, RESTORE = 1.0, 1500, 0.5
 
 # Price of the squared relative change of a volume that is held, in units of the size squared.
 VOLUME_PRICE = 100.0
@@ -78,6 +79,7 @@ class Asked:
         volume: To hold, as the mesh measures it; None holds none.
         tangential: Basis of the motion along the surface.
         seed: Of the random points off the surface.
+        is_distance: Whether the field is a distance, and is to stay one.
     """
 
     rest: RestShape
@@ -87,6 +89,7 @@ class Asked:
     volume: float | None
     tangential: TangentialModel
     seed: int
+    is_distance: bool
 
 
 def coupled_minimum(field: Field, start: FloatArray, asked: Asked, report: Report | None) -> tuple[Field, Minimum]:
@@ -106,7 +109,7 @@ def coupled_minimum(field: Field, start: FloatArray, asked: Asked, report: Repor
         goal = _Goal(asked, asked.places(stage / asked.stages))
         for _ in range(AT_GOAL if last else AT_STAGE):
             before = goal.value(at, rotations)
-            found = _step(field, at, rotations, asked, goal, damping)
+            found = _step(field, at, rotations, replace(asked, seed=asked.seed + done), goal, damping)
             done += 1
             if found is None:
                 damping *= 100
@@ -220,7 +223,10 @@ class _Motion:
         masses = torch.from_numpy(asked.rest.surface.masses).to(points)
         strength = OFF_SURFACE_STRENGTH / float(masses.mean())
         sample = SurfaceSample(points, normals.to(points), masses)
-        target = off_surface(single, sample, strength=strength, points=OFF_SURFACE_POINTS, seed=asked.seed)
+        restore = RESTORE if asked.is_distance else 0.0
+        target = off_surface(
+            single, sample, strength=strength, restore=restore, points=OFF_SURFACE_POINTS, seed=asked.seed
+        )
         parts = [(part.rooted().numpy(), (part.weights.sqrt() * part.target).numpy()) for part in target.rows(space)]
         away = np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
         return cls(normals.cpu().numpy(), rows, asked.tangential.values(points).numpy(), away)
