@@ -39,10 +39,10 @@ from implicit.surface.projection import newton_to_surface
 from implicit.surface.quadrature import SurfaceSample
 
 # Longest way of a handle and largest turn, in radians, in a stage of the path; the former over the size.
-STAGE_LENGTH, STAGE_TURN = 0.04, 0.2
+STAGE_LENGTH, STAGE_TURN = 0.025, 0.15
 
-# Linearisations at each stage but the last, and most of them at the goal.
-AT_STAGE, AT_GOAL = 1, 12
+# Most linearisations at a stage, which ends with one that was taken whole, and at the goal.
+MOST_AT_STAGE, AT_GOAL = 3, 12
 
 # Iterations of a step, and the part of the energy that one has to gain for the next to be taken.
 ITERATIONS, GAIN = 30, 1e-3
@@ -50,8 +50,8 @@ ITERATIONS, GAIN = 30, 1e-3
 # Steps that are learned from, and halvings of one that gains nothing.
 WINDOW, HALVINGS = 8, 6
 
-# Damping of the first step and the least, relative to the trace of the normal matrix.
-FIRST_DAMPING, LEAST_DAMPING = 1e-7, 1e-9
+# Damping of the first step, the least and the most, relative to the trace of the normal matrix.
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-7, 1e-8, 1e-5
 
 # Of the energy off the surface, relative to the mean mass of a vertex, points that carry it, drawn anew each time, and
 # the share of a distance's deviation from one that a linearisation is to undo: many of them drift.
@@ -59,6 +59,9 @@ OFF_SURFACE_STRENGTH, OFF_SURFACE_POINTS, RESTORE = 1.0, 1500, 0.5
 
 # Price of the squared relative change of a volume that is held, in units of the size squared.
 VOLUME_PRICE = 100.0
+
+# Part of the vertices that have to find the surface after a step; what does not stays where the step sends it.
+ARRIVED = 0.995
 
 # Part of the energy by which a linearisation at the goal has to lower it for another one.
 CONVERGED = 2e-3
@@ -107,21 +110,23 @@ def coupled_minimum(field: Field, start: FloatArray, asked: Asked, report: Repor
     for stage in range(1, asked.stages + 1):
         last = stage == asked.stages
         goal = _Goal(asked, asked.places(stage / asked.stages))
-        for _ in range(AT_GOAL if last else AT_STAGE):
+        for _ in range(AT_GOAL if last else MOST_AT_STAGE):
             before = goal.value(at, rotations)
             found = _step(field, at, rotations, replace(asked, seed=asked.seed + done), goal, damping)
             done += 1
             if found is None:
-                damping *= 100
+                damping = min(damping * 10, MOST_DAMPING)
                 continue
             move = float(np.linalg.norm(found.at - at, axis=1).max()) / size
             field, at, rotations = found.field, found.at, found.rotations
             # What had to be halved was too far for a linear model of the field.
-            damping = max(damping / 3, LEAST_DAMPING) if found.part == 1 else min(damping * 3, 1e-3)
+            damping = max(damping / 3, LEAST_DAMPING) if found.part == 1 else min(damping * 3, MOST_DAMPING)
             if report is not None:
                 report(done, found.value, move)
             if last and found.part == 1 and found.value > (1 - CONVERGED) * before:
                 status = MinimumStatus.CONVERGED
+                break
+            if not last and found.part == 1:
                 break
     rotations = energy.rotations(at, rotations)
     gap = 0.0 if asked.volume is None else abs(asked.rest.volume.value(at) / asked.volume - 1)
@@ -189,9 +194,9 @@ def _step(
         moved = field.with_theta(field.theta + part * change)
         aim = torch.from_numpy(at + part * way).to(field.theta)
         placed, arrived = newton_to_surface(moved, aim, reach=field.size / 20)
-        if not bool(arrived.all()):
+        if float(arrived.double().mean()) < ARRIVED:
             continue
-        there = placed.cpu().numpy()
+        there = torch.where(arrived[:, None], placed, aim).cpu().numpy()
         value, _, turned = goal.value_and_gradient(there, rotations)
         if value < before:
             return _Found(moved, there, turned, value, part)
