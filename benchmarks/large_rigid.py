@@ -175,14 +175,13 @@ def main() -> None:
     for name in given.scenes:
         scene = SCENES[name](given.meshes)
         edit, seconds = scene.edit(method=given.method, constraints=held)
+        print(f"  {scene.name}: {seconds:.1f} processor s, {edit.status.name} {edit.notes}", flush=True)
         row = scene.row(edit, scene.arap())
         print(
             f"| {scene.name} | {row['H']:.2%} ({row['rest']:.2%}) | {row['E']:.3f} | {row['pieces']}, {row['Euler']}: "
             f"{edit.status.name} | {row['handles']:.3%} | {row['volume']:.2%} | {seconds:.1f} |",
             flush=True,
         )
-        for note in edit.notes:
-            print(f"  {note}", flush=True)
         steps = [
             {
                 key: row.get(key)

@@ -31,7 +31,7 @@ PARTS: dict[str, tuple[float, float]] = {
     "rope": (5, 20),
     "smoothing": (20, 320),
     "rigid": (10, 600),
-    "rigid_bends": (40, 500),
+    "rigid_bends": (60, 250),
 }
 
 

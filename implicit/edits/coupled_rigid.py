@@ -17,7 +17,7 @@ path is taken in stages; of what came before nothing is kept but where the verti
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -39,10 +39,10 @@ from implicit.surface.projection import newton_to_surface
 from implicit.surface.quadrature import SurfaceSample
 
 # Longest way of a handle and largest turn, in radians, in a stage of the path; the former over the size.
-STAGE_LENGTH, STAGE_TURN = 0.04, 0.2
+STAGE_LENGTH, STAGE_TURN = 0.025, 0.15
 
-# Linearisations at each stage but the last, and most of them at the goal.
-AT_STAGE, AT_GOAL = 1, 12
+# Most linearisations at a stage, which ends with one that was taken whole, and at the goal.
+MOST_AT_STAGE, AT_GOAL = 3, 12
 
 # Iterations of a step, and the part of the energy that one has to gain for the next to be taken.
 ITERATIONS, GAIN = 30, 1e-3
@@ -50,14 +50,18 @@ ITERATIONS, GAIN = 30, 1e-3
 # Steps that are learned from, and halvings of one that gains nothing.
 WINDOW, HALVINGS = 8, 6
 
-# Damping of the first step and the least, relative to the trace of the normal matrix.
-FIRST_DAMPING, LEAST_DAMPING = 1e-7, 1e-9
+# Damping of the first step, the least and the most, relative to the trace of the normal matrix.
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-7, 1e-8, 1e-5
 
-# Off the surface, as in implicit.edits.towards_points: relative to the mean mass of a vertex.
-OFF_SURFACE_STRENGTH, OFF_SURFACE_POINTS = 0.1, 1000
+# Of the energy off the surface, relative to the mean mass of a vertex, points that carry it, drawn anew each time, and
+# the share of a distance's deviation from one that a linearisation is to undo: many of them drift.
+OFF_SURFACE_STRENGTH, OFF_SURFACE_POINTS, RESTORE = 1.0, 1500, 0.5
 
 # Price of the squared relative change of a volume that is held, in units of the size squared.
 VOLUME_PRICE = 100.0
+
+# Part of the vertices that have to find the surface after a step; what does not stays where the step sends it.
+ARRIVED = 0.995
 
 # Part of the energy by which a linearisation at the goal has to lower it for another one.
 CONVERGED = 2e-3
@@ -78,6 +82,7 @@ class Asked:
         volume: To hold, as the mesh measures it; None holds none.
         tangential: Basis of the motion along the surface.
         seed: Of the random points off the surface.
+        is_distance: Whether the field is a distance, and is to stay one.
     """
 
     rest: RestShape
@@ -87,6 +92,7 @@ class Asked:
     volume: float | None
     tangential: TangentialModel
     seed: int
+    is_distance: bool
 
 
 def coupled_minimum(field: Field, start: FloatArray, asked: Asked, report: Report | None) -> tuple[Field, Minimum]:
@@ -104,21 +110,23 @@ def coupled_minimum(field: Field, start: FloatArray, asked: Asked, report: Repor
     for stage in range(1, asked.stages + 1):
         last = stage == asked.stages
         goal = _Goal(asked, asked.places(stage / asked.stages))
-        for _ in range(AT_GOAL if last else AT_STAGE):
+        for _ in range(AT_GOAL if last else MOST_AT_STAGE):
             before = goal.value(at, rotations)
-            found = _step(field, at, rotations, asked, goal, damping)
+            found = _step(field, at, rotations, replace(asked, seed=asked.seed + done), goal, damping)
             done += 1
             if found is None:
-                damping *= 100
+                damping = min(damping * 10, MOST_DAMPING)
                 continue
             move = float(np.linalg.norm(found.at - at, axis=1).max()) / size
             field, at, rotations = found.field, found.at, found.rotations
             # What had to be halved was too far for a linear model of the field.
-            damping = max(damping / 3, LEAST_DAMPING) if found.part == 1 else min(damping * 3, 1e-3)
+            damping = max(damping / 3, LEAST_DAMPING) if found.part == 1 else min(damping * 3, MOST_DAMPING)
             if report is not None:
                 report(done, found.value, move)
             if last and found.part == 1 and found.value > (1 - CONVERGED) * before:
                 status = MinimumStatus.CONVERGED
+                break
+            if not last and found.part == 1:
                 break
     rotations = energy.rotations(at, rotations)
     gap = 0.0 if asked.volume is None else abs(asked.rest.volume.value(at) / asked.volume - 1)
@@ -186,9 +194,9 @@ def _step(
         moved = field.with_theta(field.theta + part * change)
         aim = torch.from_numpy(at + part * way).to(field.theta)
         placed, arrived = newton_to_surface(moved, aim, reach=field.size / 20)
-        if not bool(arrived.all()):
+        if float(arrived.double().mean()) < ARRIVED:
             continue
-        there = placed.cpu().numpy()
+        there = torch.where(arrived[:, None], placed, aim).cpu().numpy()
         value, _, turned = goal.value_and_gradient(there, rotations)
         if value < before:
             return _Found(moved, there, turned, value, part)
@@ -220,7 +228,10 @@ class _Motion:
         masses = torch.from_numpy(asked.rest.surface.masses).to(points)
         strength = OFF_SURFACE_STRENGTH / float(masses.mean())
         sample = SurfaceSample(points, normals.to(points), masses)
-        target = off_surface(single, sample, strength=strength, points=OFF_SURFACE_POINTS, seed=asked.seed)
+        restore = RESTORE if asked.is_distance else 0.0
+        target = off_surface(
+            single, sample, strength=strength, restore=restore, points=OFF_SURFACE_POINTS, seed=asked.seed
+        )
         parts = [(part.rooted().numpy(), (part.weights.sqrt() * part.target).numpy()) for part in target.rows(space)]
         away = np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
         return cls(normals.cpu().numpy(), rows, asked.tangential.values(points).numpy(), away)

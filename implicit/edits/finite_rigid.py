@@ -34,7 +34,7 @@ from implicit.evolve.edit import Edit, EditStatus, Progress, edit_status, reache
 from implicit.evolve.evolve import Loop
 from implicit.evolve.trial import StepRefused
 from implicit.field.field import Field, SurfaceError
-from implicit.fitting.follow import FOLLOWED, Follower, Following
+from implicit.fitting.follow import FOLLOWED, Follower, Following, is_distance
 from implicit.fitting.training import FitStatus
 from implicit.sensitivity.moved_as_a_whole import moved_as_a_whole
 from implicit.sensitivity.shape_functionals import Functional, Volume
@@ -143,23 +143,31 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
     tell, start = _Teller(problem.progress), problem.start
     if problem.coupled is not None:
         return _coupled_edit(problem, problem.coupled, before, notes, began)
-    minimum = _points(problem, start, tell)
-    surface_map = start.map_to(minimum)
-    own = [_minimum_note(minimum)] if minimum.status is not MinimumStatus.CONVERGED else []
-    seconds_points = time.perf_counter() - began
+    own: list[str] = []
 
     def untouched(status: EditStatus, *words: str) -> Edit:
         edit = replace(_untouched(problem, status, began), notes=(*notes, *own, *words))
         return with_evidence(edit, problem.field, before, problem.resolution, before)
 
+    held, bound = _volume(problem, start)
+    minimum = _points(problem, start, held, bound, tell)
     if minimum.status is MinimumStatus.NOT_FINITE:
         return untouched(EditStatus.NOT_FINITE)
-    if not _stays_inside(problem.precise, surface_map.moved):
+    if not _stays_inside(problem.precise, start.map_to(minimum).moved):
         words = "The surface would leave the bounds of the field. Widen the bounds, or move the handles less."
         return untouched(EditStatus.SURFACE_LOST, words)
     follower = _follower(problem, start, minimum)
-    if follower.crossed > CROSSED:
-        return untouched(EditStatus.SELF_CROSSING, _crossing_note(follower.crossed, problem))
+    if (crossed := follower.crossed) > CROSSED and held is None:
+        minimum = _points(problem, start, start.rest.volume.value(start.positions), "equal", tell)
+        follower = _follower(problem, start, minimum)
+        own.append(_without_crossing_note(crossed))
+    if follower.crossed > CROSSED or not _stays_inside(problem.precise, start.map_to(minimum).moved):
+        own.clear()
+        return untouched(EditStatus.SELF_CROSSING, _crossing_note(crossed))
+    surface_map = start.map_to(minimum)
+    if minimum.status is not MinimumStatus.CONVERGED:
+        own.append(_minimum_note(minimum))
+    seconds_points = time.perf_counter() - began
     edited, following = _followed(problem, follower, before.topology, tell)
     own += _following_notes(problem.field, following)
     row = _row(problem, edited.field, surface_map, minimum, following, seconds_points)
@@ -185,8 +193,16 @@ def vertices_of(field: Field, start: Deformation) -> SurfaceSample:
     return SurfaceSample(points, field.normal(points), torch.from_numpy(surface.masses).to(points))
 
 
-def _points(problem: FiniteProblem, start: Deformation, tell: _Teller) -> Minimum:
-    """Return the deformation of least energy."""
+def _points(problem: FiniteProblem, start: Deformation, held: float | None, bound: str, tell: _Teller) -> Minimum:
+    """Return the deformation of least energy.
+
+    Args:
+        problem: What is asked.
+        start: What the field shows.
+        held: Volume to hold; None holds none.
+        bound: On which side of it.
+        tell: Told of each iteration.
+    """
     rest, surface = start.rest, start.surface
     targets = _targets_of_vertices(problem, start)
     weights = targets.weights.cpu().numpy()
@@ -205,7 +221,6 @@ def _points(problem: FiniteProblem, start: Deformation, tell: _Teller) -> Minimu
             report=tell.points,
         )
 
-    held, bound = _volume(problem, start)
     if held is None or bound == "equal":
         return minimum(held)
     free = minimum(None)
@@ -239,6 +254,7 @@ def _coupled_edit(
         volume=volume if bound == "equal" else None,
         tangential=tangential,
         seed=problem.seed,
+        is_distance=is_distance(problem.precise, start.surface),
     )
     edited, minimum = coupled_minimum(problem.precise, start.positions, asked, tell.points)
     surface_map = start.map_to(minimum)
@@ -551,15 +567,18 @@ def _minimum_note(minimum: Minimum) -> str:
     )
 
 
-def _crossing_note(crossed: float, problem: FiniteProblem) -> str:
-    remedy = "Move the handles less"
-    if not any(type(functional) is Volume for functional in problem.constraints):
-        remedy = (
-            "Hold the volume (constraints=[Volume()]), which keeps what is turned from wringing itself thin, or move "
-        )
-        remedy += "the handles less"
+def _crossing_note(crossed: float) -> str:
     return (
-        f"The points pass through each other: {crossed:.2g} of their surface lies inside another part of it. {remedy}."
+        f"The points of least energy pass through each other, and do so with the volume held: {crossed:.2g} of their "
+        "surface lies inside another part of it. Move the handles less, or in another way."
+    )
+
+
+def _without_crossing_note(crossed: float) -> str:
+    return (
+        f"The points of least energy pass through each other, {crossed:.2g} of their surface inside another part, "
+        "which no field can show. With the volume held they do not, and so it was held: take constraints=[Volume()] to "
+        "hold it to the field's own digits."
     )
 
 

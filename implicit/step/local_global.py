@@ -138,6 +138,7 @@ class LocalGlobal:
         tolerance: float = 1e-5,
         volume: float | None = None,
         report: Report | None = None,
+        passed: Callable[[FloatArray], None] | None = None,
     ) -> Minimum:
         """Return the deformation of least energy from a start.
 
@@ -150,12 +151,15 @@ class LocalGlobal:
             tolerance: Largest move of a vertex in an iteration, over the size, at which it has converged.
             volume: To hold; None holds none.
             report: Called after each iteration.
+            passed: Called with the positions at the end of each stage but the last.
         """
         u, done = start, 0
         for stage in range(1, stages):
             run = _Run(self, start, places(stage / stages), volume, tolerance)
             u = run.take(u, STAGE_ITERATIONS, done, report).u
             done += run.taken
+            if passed is not None:
+                passed(u)
         run = _Run(self, start, places(1.0), volume, tolerance)
         end = run.take(u, iterations, done, report)
         gap = 0.0 if volume is None else abs(self.volume.value(end.u) / volume - 1)

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
@@ -20,7 +21,11 @@ from implicit import (
 from implicit.edits import finite_rigid
 from implicit.edits.finite_rigid import turning
 from implicit.edits.targets import AveragedTargets
+from implicit.edits.towards_points import TowardsPoints, nearer
 from implicit.evolve.edit import EditStatus
+from implicit.sensitivity.weak_curvature import WeakSurface
+from implicit.step.spokes_and_rims import SpokesAndRims
+from implicit.step.tangential_basis import CosineFeatures
 
 FOOT = Handle(HalfSpace((0, -0.4, 0), (0, -1, 0)), (0.0, 0.0, 0.0))
 TIP = HalfSpace((0, 0.4, 0), (0, 1, 0))
@@ -165,3 +170,63 @@ def test_turning_counts_whole_turns_and_takes_none_for_a_motion_of_all(rod):
     assert angle(whole, whole) == pytest.approx(0, abs=1e-4)
     # A point of the foot does not move, so that the whole turns by about half as much as the tip.
     assert 2 * math.pi * 0.4 < angle((0.0, 0.0, 0.0), RigidMotion(rotation=(0, 2 * math.pi, 0))) < 2 * math.pi
+
+
+def test_points_that_pass_through_each_other_are_said_before_the_field_is_touched(rod):
+    """The tip is pushed into the foot: with the volume held, too, one lies in the other."""
+    told = []
+    edit = rigid_edit(
+        rod,
+        [FOOT, Handle(TIP, (0.0, -0.9, 0.0))],
+        points=150,
+        method="finite",
+        resolution=24,
+        progress=lambda step, steps, row: told.append(row["phase"]),
+    )
+    assert edit.status is EditStatus.SELF_CROSSING
+    assert any("pass through each other" in note for note in edit.notes)
+    assert set(told) == {"points"}
+    torch.testing.assert_close(edit.field.theta, rod.theta, rtol=0, atol=0)
+
+
+def test_the_last_steps_only_lower_the_strain_that_is_left(rod):
+    """Between the field's surface and that of the same rod a little thicker at one side."""
+    precise = rod.to(torch.float64)
+    V, F = extract_mesh(precise, 20)
+    energy, surface = SpokesAndRims(V, F), WeakSurface.of(torch.from_numpy(V), torch.from_numpy(F))
+    goals = torch.from_numpy(V * (1 + 0.02 * np.sin(3 * V[:, 1:2]) ** 2))
+    operation = TowardsPoints(goals, torch.from_numpy(surface.masses), energy.laplacian, seed=0)
+    before = operation.left(precise).energy()
+    field, steps = nearer(operation, precise, 0.1 * before)
+    assert steps >= 1
+    assert operation.left(field).energy() <= 0.1 * before
+    same, none = nearer(operation, precise, 2 * before)
+    assert (none, same) == (0, precise)
+
+
+def test_coupled_steps_find_what_points_and_field_find_one_after_the_other(rod):
+    """The energy of the same mesh, and places of its points, by both."""
+    handles = [FOOT, Handle(TIP, RigidMotion(rotation=(0, 0, -0.35), center=(0, 0.4, 0), translation=(0.14, 0, 0)))]
+    V, F = extract_mesh(rod, 20)
+    track = project_to_surface(rod.to(torch.float64), torch.from_numpy(V))
+    energy = SpokesAndRims(track.numpy(), F)
+    waves = CosineFeatures(rod, waves=80, frequency=4.0)
+    one, two = (
+        rigid_edit(rod, handles, method=method, points=150, resolution=24, track=track, **options)
+        for method, options in (("finite", {}), ("coupled", {"tangential": waves}))
+    )
+    assert two.status is EditStatus.DONE
+    assert two.history[0]["method"] == "finite rotations, coupled"
+    assert two.history[0]["energy"] == pytest.approx(one.history[0]["energy"], rel=0.15)
+    assert energy.energy(two.tracked.numpy()) <= 1.1 * energy.energy(one.tracked.numpy())
+    assert float((two.tracked - one.tracked).norm(dim=1).max()) < 0.03
+    moved = torch.isfinite(two.wanted).all(dim=1)
+    assert float((two.displacement - two.wanted)[moved].norm(dim=1).square().mean().sqrt()) < 0.006
+
+
+def test_coupled_steps_refuse_a_basis_that_is_none_and_options_of_linear_steps(rod):
+    handles = [FOOT, Handle(TIP, BEND)]
+    with pytest.raises(TypeError, match="tangential must be None or a model"):
+        rigid_edit(rod, handles, method="coupled", tangential=3, points=100)
+    with pytest.raises(ValueError, match='damping must be left out with method="coupled"'):
+        rigid_edit(rod, handles, method="coupled", damping=1.0, points=100)

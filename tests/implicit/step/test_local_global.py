@@ -120,3 +120,27 @@ def test_the_volume_of_a_box_and_its_change(bar):
     difference = (volume.value(V + h * way) - volume.value(V - h * way)) / (2 * h)
     assert np.vdot(volume.gradient(V), way) == pytest.approx(difference, rel=1e-7)
     assert volume.value(volume.reached(V, V, 0.05)) == pytest.approx(0.05, rel=1e-13)
+
+
+def test_the_energy_falls_from_each_iteration_to_the_next_at_the_goal(bar):
+    V, F = bar
+    held, places = ends(V, 90)
+    told = []
+    solver = LocalGlobal(SpokesAndRims(V, F), Hold(held, nothing(V)))
+    solver.minimum(places, V, tolerance=1e-7, report=lambda number, energy, move: told.append(energy))
+    assert len(told) > 20
+    assert np.all(np.diff(told) <= 1e-12 * told[0])
+
+
+@pytest.mark.parametrize("hold_volume", [False, True])
+def test_a_bar_that_is_shaken_comes_back_to_the_same_energy(bar, hold_volume):
+    V, F = bar
+    held, places = ends(V, 90)
+    energy = SpokesAndRims(V, F)
+    volume = EnclosedVolume(F, len(V)).value(V) if hold_volume else None
+    solver = LocalGlobal(energy, Hold(held, nothing(V)))
+    found = solver.minimum(places, V, stages=3, tolerance=1e-7, iterations=2000, volume=volume)
+    shaken = found.positions + np.random.default_rng(0).normal(scale=3e-3, size=V.shape)
+    again = solver.minimum(places, shaken, tolerance=1e-7, iterations=2000, volume=volume)
+    assert again.iterations > 10
+    assert again.energy == pytest.approx(found.energy, rel=1e-6)
