@@ -1,4 +1,4 @@
-"""Handles as plain data: a part of the surface and how it is to move, in the field's own coordinates."""
+"""Handles as plain data: a part of the surface and how it is to move, in a field's coordinates or in the user's."""
 
 from __future__ import annotations
 
@@ -17,7 +17,11 @@ REGIONS = {
     "ball": ("center", "radius", "falloff"),
     "box": ("lower", "upper", "falloff"),
     "halfspace": ("point", "normal", "falloff"),
+    "points": ("points", "radius", "falloff"),
+    "nearest": ("point", "radius", "falloff"),
+    "vertices": ("vertices", "radius", "falloff"),
 }
+ON_A_SHAPE = ("nearest", "vertices")  # which compare.cases.placing makes balls and points of
 MOTIONS = {
     "vector": ("vector",),
     "along": ("distance",),
@@ -27,19 +31,22 @@ MOTIONS = {
 OPTIONAL = {"falloff", "rotation", "translation"}
 SCALARS = {"radius", "falloff", "distance"}  # the others are points or vectors
 # How each changes from the user's coordinates to the field's; rotations and normals are the same in both.
-PLACES = {"center", "lower", "upper", "point"}
+PLACES = {"center", "lower", "upper", "point", "points"}
 LENGTHS = {"radius", "falloff", "distance", "vector", "translation"}
 POSITIVE = {"radius": 0.0, "falloff": 0.0}
 
 
 @dataclass(frozen=True, repr=False)
 class HandleSpec:
-    """A part of the surface and how it is to move, in the field's coordinates.
+    """A part of the surface and how it is to move, in the field's coordinates unless its case says otherwise.
 
     Args:
-        region: {"kind": "ball", "center": [x, y, z], "radius": r}, or "box" with lower and upper, or "halfspace" with
-            point and normal (the side that the normal points to); each may have "falloff", a width over which the
-            weight sinks smoothly from 1 to 0. The displacement of a geometric edit sinks with it.
+        region: {"kind": "ball", "center": [x, y, z], "radius": r}; "box" with lower and upper; "halfspace" with point
+            and normal (the side that the normal points to); "points" with points and radius, what lies within the
+            radius of any of them; "nearest" with point and radius, a ball round the place of the surface that is
+            nearest to the point; or "vertices" with vertices and radius, balls round vertices of the mesh in the
+            shape's file, counted from 0. Each may have "falloff", a width over which the weight sinks smoothly from 1
+            to 0. The displacement of a geometric edit sinks with it.
         motion: {"kind": "vector", "vector": [x, y, z]}; "along" with distance, outward along the normal; or "rigid"
             with rotation (a vector: axis times angle in radians), translation and center.
     """
@@ -73,7 +80,20 @@ class HandleSpec:
 
         region = {k: v for k, v in self.region.items() if k != "kind"}
         motion = {k: v for k, v in self.motion.items() if k != "kind"}
-        where = {"ball": implicit.Ball, "box": implicit.Box, "halfspace": implicit.HalfSpace}[self.region["kind"]]
+        kind = self.region["kind"]
+        if kind in ON_A_SHAPE:
+            raise ValueError(
+                f"A region of the kind {kind!r} is placed on a shape first: run its case, or make it one with "
+                "compare.cases.placing.placed."
+            )
+        if kind == "points":
+            region["centers"] = region.pop("points")
+        where = {
+            "ball": implicit.Ball,
+            "box": implicit.Box,
+            "halfspace": implicit.HalfSpace,
+            "points": implicit.NearPoints,
+        }[kind]
         if self.motion["kind"] == "vector":
             return implicit.Handle(where(**region), motion["vector"])
         if self.motion["kind"] == "along":
@@ -112,12 +132,33 @@ def _require_numbers(what: str, given: Mapping[str, Any], kinds: Mapping[str, tu
     if unknown or (missing and kind != "rigid"):
         raise ValueError(f"A {what} of kind {kind!r} must have {', '.join(takes)}, but has {', '.join(given)}.")
     for name in takes:
-        if name in given:
+        if name not in given:
+            continue
+        if name == "vertices":
+            _require_vertices(given[name])
+        elif name == "points":
+            _require_points(given[name])
+        else:
             _require_number(f"{name} of a {what}", given[name], POSITIVE.get(name), 1 if name in SCALARS else 3)
     if kind == "box" and not all(a < b for a, b in zip(given["lower"], given["upper"])):
         raise ValueError(f"lower must be below upper in the region, but they are {given['lower']}, {given['upper']}.")
     if kind == "halfspace" and not np.any(given["normal"]):
         raise ValueError("normal of a region must point somewhere, but is zero.")
+
+
+def _require_vertices(given: Any) -> None:
+    numbers = given if isinstance(given, list | tuple) else []
+    if not numbers or not all(isinstance(v, int) and not isinstance(v, bool) and v >= 0 for v in numbers):
+        raise ValueError(f"vertices of a region must be whole numbers from 0, at least one, but are {given!r:.100}.")
+
+
+def _require_points(given: Any) -> None:
+    try:
+        points = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        points = np.zeros(0)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0 or not np.isfinite(points).all():
+        raise ValueError(f"points of a region must be rows of three finite numbers, but are {given!r:.100}.")
 
 
 def _require_number(name: str, value: Any, least: float | None, count: int) -> None:

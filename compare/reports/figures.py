@@ -23,7 +23,7 @@ from numpy import ndarray
 
 from compare.cases.handles import HandleSpec
 from compare.operations.operation import operation_of
-from compare.reports.arrows import arrows_of
+from compare.reports.arrows import arrows_of, with_handles_in_field
 from compare.reports.azimuth import azimuth_of
 from compare.reports.pyvista_painter import paint_with_pyvista, pyvista_trouble
 from compare.reports.views import (
@@ -80,7 +80,7 @@ def draw_figures(
     folder = Path(folder)
     target = folder / "figures" if output is None else Path(output)
     by_shape: dict[str, list[Record]] = {}
-    for record in records:
+    for record in (with_handles_in_field(record) for record in records):
         if {"before", "implicit", "mesh"} <= set(record.artefacts):
             by_shape.setdefault(record.case.name, []).append(record)
     written = []
