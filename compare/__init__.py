@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from compare.cases.subject import Subject
     from compare.errors import InputError
     from compare.fitting.fit import FitReport, fit_mesh
+    from compare.reports.animation import write_animation
     from compare.runs.executors import Workers
     from compare.runs.records import Record
     from compare.runs.run import run_case, run_cases
@@ -40,6 +41,7 @@ _MODULES = {
     "fit_mesh": "fitting.fit",
     "FitReport": "fitting.fit",
     "prepare_subject": "runs.subject",
+    "write_animation": "reports.animation",
     "Subject": "cases.subject",
     "InputError": "errors",
 }
@@ -56,6 +58,7 @@ __all__ = [
     "default_cases",
     "Record",
     "report",
+    "write_animation",
     "fit_mesh",
     "FitReport",
     "prepare_subject",

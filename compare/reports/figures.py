@@ -94,6 +94,37 @@ def draw_figures(
     return written
 
 
+def write_models(records: Sequence[Record], folder: str | PathLike[str], output: str | PathLike[str]) -> list[Path]:
+    """Write the result of each method as a .glb whose vertices have the colours of the error, for any viewer.
+
+    Args:
+        records: Of a run; failed ones are left out.
+        folder: The run folder, where their meshes are.
+        output: The folder where they go.
+
+    Returns:
+        The files written.
+
+    Raises:
+        FileNotFoundError: A mesh that a record names is gone.
+    """
+    import meshref
+
+    written = []
+    for record in records:
+        views = load_views(record, Path(folder))
+        colours = colour_range(record, [view for name, view in views.items() if name != "before"])
+        for name, view in views.items():
+            if name == "before":
+                continue
+            shown = _map_of(colours)(Normalize(colours.low, colours.limit)(np.nan_to_num(view.values)))[:, :3]
+            path = Path(output) / f"{Path(record.artefacts[name].path).stem}.glb"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            meshref.write_mesh(path, view.V, view.F, colours=shown)
+            written.append(path)
+    return written
+
+
 def usable_painter(chosen: Painter) -> tuple[Literal["pyvista", "matplotlib"], str | None]:
     """Return the painter to take, and why it is not pyvista where that was left open.
 

@@ -115,7 +115,6 @@ def ball():
 def test_a_nearest_point_is_placed_on_the_surface_whichever_coordinates_it_is_given_in(ball):
     """From the middle, the sphere's nearest place to a point lies on the way to it."""
     away = np.array([0.33, 0.0, 0.44])  # a length of 0.55
-    along = {"kind": "along", "distance": 2.0}
     for coordinates, point in (("user", UNITS.to_user(torch.tensor(away)).numpy()), ("field", away)):
         region = {"kind": "nearest", "point": point.tolist(), "radius": 4.0}
         case = Case(
