@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from compare.cases.subject import Subject
     from compare.errors import InputError
     from compare.fitting.fit import FitReport, fit_mesh
+    from compare.reports.animation import write_animation
     from compare.reports.show import draw, show
     from compare.runs.executors import Workers
     from compare.runs.records import Record
@@ -43,6 +44,7 @@ _MODULES = {
     "fit_mesh": "fitting.fit",
     "FitReport": "fitting.fit",
     "prepare_subject": "runs.subject",
+    "write_animation": "reports.animation",
     "Subject": "cases.subject",
     "InputError": "errors",
 }
@@ -61,6 +63,7 @@ __all__ = [
     "report",
     "show",
     "draw",
+    "write_animation",
     "fit_mesh",
     "FitReport",
     "prepare_subject",

@@ -58,6 +58,7 @@ from meshref.metrics import (
 # Take in and hand out
 from meshref.check import MeshError, check_mesh
 from meshref.mend import MendReport, mend_mesh
+from meshref.accepted import as_mesh
 from meshref.files import read_mesh, write_mesh
 from meshref.factor import NotPositiveDefiniteError
 
@@ -84,7 +85,8 @@ __all__ = [
     "signed_distance", "SignedDistance", "SignedDistanceQuery",
     "surface_distance", "SurfaceDistance", "chamfer", "hausdorff", "normal_consistency", "iou", "handle_error",
     "sample_mesh", "MeshSample",
-    "check_mesh", "MeshError", "NotPositiveDefiniteError", "mend_mesh", "MendReport", "read_mesh", "write_mesh",
+    "check_mesh", "MeshError", "NotPositiveDefiniteError", "mend_mesh", "MendReport",
+    "read_mesh", "write_mesh", "as_mesh",
     "icosphere", "torus", "box", "cylinder",
     "laplacian_smooth", "taubin_smooth", "isotropic_remesh", "decimate", "hausdorff_distance", "MeshlabDistance",
 ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Read and write triangle meshes: Wavefront .obj, .off, .ply and .stl; read .glb, .gltf, .3mf and .dae too.
+"""Read and write triangle meshes: Wavefront .obj, .off, .ply, .stl and .glb; read .gltf, .3mf and .dae too.
 
 A broken file ends in one MeshError that names the line. Writing goes to a side file that takes the place of the old one
 at the end, so that an interruption loses nothing.
@@ -21,7 +21,7 @@ from meshref.formats.text import DamageError
 from meshref.topology import FloatArray, IntArray
 
 FORMATS = {".obj": obj, ".off": off, ".ply": ply, ".stl": stl}
-# Read by other libraries, and not written: a scene of meshes becomes one mesh.
+# Read by other libraries: a scene of meshes becomes one mesh.
 SCENES = {".glb": scenes.read_gltf, ".gltf": scenes.read_gltf, ".3mf": scenes.read_3mf, ".dae": scenes.read_dae}
 READABLE = (*FORMATS, *SCENES)
 
@@ -89,17 +89,25 @@ def _without_mark(content: bytes) -> bytes:
     return content
 
 
-def write_mesh(path: str | os.PathLike[str], V: ArrayLike, F: ArrayLike, *, quality: ArrayLike | None = None) -> None:
+def write_mesh(
+    path: str | os.PathLike[str],
+    V: ArrayLike,
+    F: ArrayLike,
+    *,
+    quality: ArrayLike | None = None,
+    colours: ArrayLike | None = None,
+) -> None:
     """Write a mesh; an existing file is replaced only once the new one is complete.
 
     Coordinates come back exactly, to the last bit, except from .stl, which knows single precision only (and writes
-    every corner of every face, so shared vertices are told by equal coordinates).
+    every corner of every face, so shared vertices are told by equal coordinates) and .glb, in single precision too.
 
     Args:
-        path: Where to; the ending .ply (binary), .obj, .off or .stl (binary) chooses the format.
+        path: Where to; the ending .ply (binary), .obj, .off, .stl (binary) or .glb chooses the format.
         V: Vertices, (n, 3).
         F: Faces, (m, 3).
         quality: One number for each vertex, (n,), for .ply only: MeshLab shows it as the vertex quality.
+        colours: Red, green and blue of each vertex, (n, 3), from 0 to 1, for .glb only: viewers show them.
 
     Raises:
         MeshError: The arrays are no mesh, the ending is unknown, or the file cannot be written.
@@ -107,8 +115,10 @@ def write_mesh(path: str | os.PathLike[str], V: ArrayLike, F: ArrayLike, *, qual
     path = _as_path(path)
     V, F = as_arrays(V, F)
     suffix = path.suffix.lower()
-    if suffix not in FORMATS:
-        raise MeshError(f"the file must end in {', '.join(FORMATS)}, but is called {path.name!r}.")
+    if suffix not in (*FORMATS, ".glb"):
+        raise MeshError(f"the file must end in {', '.join(FORMATS)} or .glb, but is called {path.name!r}.")
+    if colours is not None and suffix != ".glb":
+        raise MeshError(f"colours need a file ending in .glb, but it is called {path.name!r}.")
     values = None
     if quality is not None:
         try:
@@ -119,7 +129,26 @@ def write_mesh(path: str | os.PathLike[str], V: ArrayLike, F: ArrayLike, *, qual
             raise MeshError(f"quality needs a file ending in .ply, but it is called {path.name!r}.")
         if values.shape != (len(V),):
             raise MeshError(f"quality must have shape ({len(V)},), a number for each vertex, but has {values.shape}.")
+    if suffix == ".glb":
+        try:
+            content = scenes.written_glb(V, F, _colours(colours, len(V)))
+        except DamageError as damage:
+            raise MeshError(f"the file {str(path)!r} cannot be written: {damage}. Take another format.") from None
+        replace_file(path, content)
+        return
     replace_file(path, ply.written(V, F, values) if suffix == ".ply" else FORMATS[suffix].written(V, F))
+
+
+def _colours(colours: ArrayLike | None, count: int) -> FloatArray | None:
+    if colours is None:
+        return None
+    try:
+        given = np.asarray(colours, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise MeshError(f"colours must be three numbers for each vertex, but {error}.") from None
+    if given.shape != (count, 3) or not bool(((given >= 0) & (given <= 1)).all()):
+        raise MeshError(f"colours must be numbers from 0 to 1 of shape ({count}, 3), but have shape {given.shape}.")
+    return given
 
 
 def _as_path(path: str | os.PathLike[str]) -> Path:

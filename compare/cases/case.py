@@ -1,7 +1,8 @@
 """A comparison to make: a shape, an operation, its handles and its settings, as plain data.
 
 A case can be written to JSON and read back, and its key is a hash of its content (for a shape in a file, of the
-file's content too), so a rerun knows which cases are done. Handles are given in the field's own coordinates.
+file's content too), so a rerun knows which cases are done. Handles are given in the field's own coordinates, or in
+those of the shape's file.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from compare.cases.registry import OPERATIONS
 
 MESH_SUFFIXES = (".obj", ".off", ".ply", ".stl", ".glb", ".gltf", ".3mf", ".dae")
 FIELD_SUFFIX = ".safetensors"
+COORDINATES = ("field", "user")
+OPTIONAL = {"module": None, "coordinates": "field"}  # left out of a row where they are so
 BUNDLED = ("spot", "cactus", "bracket")  # implicit.shapes.BUNDLED, known here without importing torch
 
 
@@ -50,6 +53,7 @@ class Case:
         module: Name of what builds the module of a field that is saved with a builder, "my_nets.py:make" or
             "package.module:function"; None for all other shapes. It is run where it is named in a call or a command,
             and not where a file of cases names it.
+        coordinates: Of the handles: "field", or "user", those of the shape's file, which a fit moves and scales.
     """
 
     shape: str
@@ -60,6 +64,7 @@ class Case:
     resolution: int = 96
     seed: int = 0
     module: str | None = None
+    coordinates: str = "field"
 
     def __post_init__(self) -> None:
         if not isinstance(self.shape, str) or not self.shape:
@@ -78,6 +83,8 @@ class Case:
         _require_whole("seed", self.seed, 0)
         if self.module is not None:
             _require_name(self.module, self.shape)
+        if self.coordinates not in COORDINATES:
+            raise ValueError(f'coordinates must be "field" or "user", but are {self.coordinates!r}.')
         try:
             json.dumps(dict(self.parameters), allow_nan=False)
         except (TypeError, ValueError) as error:
@@ -89,6 +96,7 @@ class Case:
         handles = f", {count} handle{'s' * (count > 1)}" if count else ""
         settings = {"vertices": self.vertices, "resolution": self.resolution, "seed": self.seed} | dict(self.parameters)
         settings |= {} if self.module is None else {"module": self.module}
+        settings |= {} if self.coordinates == "field" else {"coordinates": self.coordinates}
         return f"Case({self.shape}, {self.operation}{handles}, {', '.join(f'{k}={v}' for k, v in settings.items())})"
 
     @cached_property
@@ -116,9 +124,9 @@ class Case:
         return Path(self.shape).stem
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data; the module only where there is one."""
+        """Return plain data; the module only where there is one, the coordinates where they are the user's."""
         row = json.loads(json.dumps(dataclasses.asdict(self)))  # tuples become lists, as they will be when read
-        return {name: value for name, value in row.items() if name != "module" or value is not None}
+        return {name: value for name, value in row.items() if OPTIONAL.get(name, "") != value}
 
     @classmethod
     def from_dict(cls, row: Mapping[str, Any]) -> Case:
@@ -128,7 +136,7 @@ class Case:
             ValueError: The row is no case.
         """
         known = {f.name for f in dataclasses.fields(cls)}
-        whole = isinstance(row, Mapping) and known - {"module"} <= set(row) <= known
+        whole = isinstance(row, Mapping) and known - set(OPTIONAL) <= set(row) <= known
         if not whole or not isinstance(row["handles"], list | tuple):
             raise ValueError(f"A case must be a row of {', '.join(sorted(known))}, but is {row!r:.200}.")
         handles = [HandleSpec(**handle) for handle in row["handles"]]

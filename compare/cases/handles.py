@@ -1,4 +1,4 @@
-"""Handles as plain data: a part of the surface and how it is to move, in the field's own coordinates."""
+"""Handles as plain data: a part of the surface and how it is to move, in a field's coordinates or in the user's."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ REGIONS = {
     "box": ("lower", "upper", "falloff"),
     "halfspace": ("point", "normal", "falloff"),
     "points": ("centers", "radius", "falloff"),
+    "nearest": ("point", "radius", "falloff"),
+    "vertices": ("vertices", "radius", "falloff"),
 }
+ON_A_SHAPE = ("nearest", "vertices")  # which compare.cases.placing makes balls and points of
 MOTIONS = {
     "vector": ("vector",),
     "along": ("distance",),
@@ -39,13 +42,15 @@ POSITIVE = {"radius": 0.0, "falloff": 0.0, "factor": 0.0}
 
 @dataclass(frozen=True, repr=False)
 class HandleSpec:
-    """A part of the surface and how it is to move, in the field's coordinates.
+    """A part of the surface and how it is to move, in the field's coordinates unless its case says otherwise.
 
     Args:
-        region: {"kind": "ball", "center": [x, y, z], "radius": r}, or "box" with lower and upper, or "halfspace" with
-            point and normal (the side that the normal points to), or "points" with centers and radius: balls about all
-            of them; each may have "falloff", a width over which the weight sinks smoothly from 1 to 0. The displacement
-            of a geometric edit sinks with it.
+        region: {"kind": "ball", "center": [x, y, z], "radius": r}; "box" with lower and upper; "halfspace" with point
+            and normal (the side that the normal points to); "points" with centers and radius, what lies within the
+            radius of any of them; "nearest" with point and radius, a ball round the place of the surface that is
+            nearest to the point; or "vertices" with vertices and radius, balls round vertices of the mesh in the
+            shape's file, counted from 0. Each may have "falloff", a width over which the weight sinks smoothly from 1
+            to 0. The displacement of a geometric edit sinks with it.
         motion: {"kind": "vector", "vector": [x, y, z]}; "along" with distance, outward along the normal; "rigid"
             with rotation (a vector: axis times angle in radians), translation and center; or "similar", which scales
             by factor about center as well.
@@ -80,12 +85,18 @@ class HandleSpec:
 
         region = {k: v for k, v in self.region.items() if k != "kind"}
         motion = {k: v for k, v in self.motion.items() if k != "kind"}
+        kind = self.region["kind"]
+        if kind in ON_A_SHAPE:
+            raise ValueError(
+                f"A region of the kind {kind!r} is placed on a shape first: run its case, or make it one with "
+                "compare.cases.placing.placed."
+            )
         where = {
             "ball": implicit.Ball,
             "box": implicit.Box,
             "halfspace": implicit.HalfSpace,
             "points": implicit.NearPoints,
-        }[self.region["kind"]]
+        }[kind]
         if self.motion["kind"] == "vector":
             return implicit.Handle(where(**region), motion["vector"])
         if self.motion["kind"] == "along":
@@ -138,24 +149,33 @@ def _require_numbers(what: str, given: Mapping[str, Any], kinds: Mapping[str, tu
     if unknown or (missing and kind != "rigid"):
         raise ValueError(f"A {what} of kind {kind!r} must have {', '.join(takes)}, but has {', '.join(given)}.")
     for name in takes:
-        if name in given:
-            if name in LISTS:
-                _require_points(f"{name} of a {what}", given[name])
-            else:
-                _require_number(f"{name} of a {what}", given[name], POSITIVE.get(name), 1 if name in SCALARS else 3)
+        if name not in given:
+            continue
+        if name == "vertices":
+            _require_vertices(given[name])
+        elif name in LISTS:
+            _require_points(name, given[name])
+        else:
+            _require_number(f"{name} of a {what}", given[name], POSITIVE.get(name), 1 if name in SCALARS else 3)
     if kind == "box" and not all(a < b for a, b in zip(given["lower"], given["upper"])):
         raise ValueError(f"lower must be below upper in the region, but they are {given['lower']}, {given['upper']}.")
     if kind == "halfspace" and not np.any(given["normal"]):
         raise ValueError("normal of a region must point somewhere, but is zero.")
 
 
-def _require_points(name: str, value: Any) -> None:
+def _require_vertices(given: Any) -> None:
+    numbers = given if isinstance(given, list | tuple) else []
+    if not numbers or not all(isinstance(v, int) and not isinstance(v, bool) and v >= 0 for v in numbers):
+        raise ValueError(f"vertices of a region must be whole numbers from 0, at least one, but are {given!r:.100}.")
+
+
+def _require_points(name: str, given: Any) -> None:
     try:
-        numbers = np.asarray(value, dtype=float)
+        points = np.asarray(given, dtype=float)
     except (TypeError, ValueError):
-        numbers = np.empty(0)
-    if numbers.ndim != 2 or numbers.shape[1] != 3 or len(numbers) == 0 or not np.isfinite(numbers).all():
-        raise ValueError(f"{name} must be points of three finite numbers each, but are {value!r:.200}.")
+        points = np.empty(0)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0 or not np.isfinite(points).all():
+        raise ValueError(f"{name} of a region must be points of three finite numbers each, but are {given!r:.200}.")
 
 
 def _require_number(name: str, value: Any, least: float | None, count: int) -> None:

@@ -11,16 +11,15 @@ A handle is as in HandleSpec, and as in the file of a study, whose handles are i
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from compare.cases.case import COORDINATES
 from compare.cases.handles import HandleSpec
 from compare.errors import InputError
 
-COORDINATES = ("user", "field")
 KEYS = {"coordinates", "handles"}
 
 
@@ -30,12 +29,6 @@ class HandlesFile:
 
     handles: tuple[HandleSpec, ...]
     coordinates: str = "user"
-
-    def in_field(self, scale: float, offset: Sequence[float]) -> tuple[HandleSpec, ...]:
-        """Return the handles in the coordinates x of a field that are scale * x + offset to the user."""
-        if self.coordinates == "field":
-            return self.handles
-        return tuple(handle.in_field(scale, offset) for handle in self.handles)
 
 
 def read_handles(path: str | PathLike[str]) -> HandlesFile:

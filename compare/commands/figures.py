@@ -21,8 +21,8 @@ class Figures:
     """What `run` wrote."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Where the pictures go; by default figures/ in the run folder."""
-    formats: tuple[Literal["png", "pdf", "svg"], ...] = ("png", "pdf")
-    """Which kinds."""
+    formats: tuple[Literal["png", "pdf", "svg", "glb"], ...] = ("png", "pdf")
+    """Which kinds; glb is the result of each method in 3D, with the colours of its error."""
     azimuth: float | None = None
     """Degrees about the y axis, from where to look; by default where most of what moves is seen."""
     painter: Literal["auto", "pyvista", "matplotlib"] = "auto"
@@ -31,7 +31,7 @@ class Figures:
 
 def figures(command: Figures) -> int:
     """Paint the pictures from the rows and meshes that are there."""
-    from compare.reports.figures import draw_figures, usable_painter
+    from compare.reports.figures import draw_figures, usable_painter, write_models
     from compare.reports.views import Camera
 
     camera = None if command.azimuth is None else Camera(command.azimuth)
@@ -42,10 +42,12 @@ def figures(command: Figures) -> int:
             records,
             command.folder,
             output=command.output,
-            formats=command.formats,
+            formats=[name for name in command.formats if name != "glb"],
             camera=camera,
             painter=painter,
         )
+        if "glb" in command.formats:
+            written += write_models(records, command.folder, command.output or command.folder / "figures")
     except (FileNotFoundError, ValueError) as error:
         raise InputError(str(error)) from error
     if reason is not None:

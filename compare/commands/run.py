@@ -42,8 +42,6 @@ if TYPE_CHECKING:
 else:  # a word of those that are registered, for tyro to refuse others and to complete
     OperationName = tyro.extras.literal_type_from_choices(tuple(OPERATIONS))
 
-Scaling = tuple[float, tuple[float, ...]]  # scale and offset of a field's units
-
 
 @dataclass
 class Run:
@@ -181,14 +179,14 @@ def _cases(
     cases: list[Case] = []
     for name, case in any_case.items():
         try:
-            V, N, bounds, units = waiting[name].result() if waiting else _surface(case, folder, tell)
+            V, N, bounds = waiting[name].result() if waiting else _surface(case, folder, tell)
         except (ValueError, OSError, WorkerDiedError) as error:
             raise InputError(f"{name}: {error}") from error
         own = {**settings, "module": modules[name], "bounds": bounds}
         found = default_cases(name, V, N, operations=command.operations, quick=command.quick, fit=fit, **own)
         if own_handles is not None:
-            handles = own_handles.in_field(*units)
-            found = [replace(case, handles=handles) if case.handles else case for case in found]
+            given: dict[str, Any] = {"handles": own_handles.handles, "coordinates": own_handles.coordinates}
+            found = [replace(case, **given) if case.handles else case for case in found]
         cases += found
     return cases
 
@@ -208,12 +206,11 @@ def _own_handles(command: Run) -> HandlesFile:
     return read_handles(command.handles)
 
 
-def _surface(case: Case, folder: Path, progress: Progress | None = None) -> tuple[ndarray, ndarray, ndarray, Scaling]:
+def _surface(case: Case, folder: Path, progress: Progress | None = None) -> tuple[ndarray, ndarray, ndarray]:
     """Return the vertices and normals of the common mesh of a case, whose subject is kept in the folder, and the bounds
-    and the units of its field."""
+    of its field."""
     subject = prepare_subject(case, folder=folder, progress=progress)
-    units = subject.field.units
-    return subject.V, subject.N, subject.field.bounds.cpu().numpy(), (units.scale, tuple(units.offset))
+    return subject.V, subject.N, subject.field.bounds.cpu().numpy()
 
 
 def _require_run_folder(folder: Path, resume: bool) -> None:

@@ -107,8 +107,8 @@ class FitReport:
 
 
 def fit_mesh(
-    V: Float[ndarray, "n 3"],
-    F: Int[ndarray, "m 3"],
+    V: Float[ndarray, "n 3"] | Any,
+    F: Int[ndarray, "m 3"] | None = None,
     *,
     module: nn.Module | None = None,
     width: int = 32,
@@ -128,8 +128,10 @@ def fit_mesh(
     """Return a neural field whose zero set is the mesh, and how good it is.
 
     Args:
-        V: Vertices (n, 3), in any units and anywhere.
-        F: Triangles (m, 3). The mesh may be as found in the wild; mend_mesh makes a solid of it.
+        V: Vertices (n, 3), in any units and anywhere; or a whole mesh: what meshref.as_mesh takes, such as a
+            trimesh.Trimesh, a pyvista.PolyData or the name of a file.
+        F: Triangles (m, 3), None after a whole mesh. The mesh may be as found in the wild; mend_mesh makes a solid of
+            it.
         module: A module of one's own to train in place of a Siren or an Mlp, from points (N, 3) in [-1, 1]^3 to signed
             distances. It is not touched: the field's `write_back` stores what was trained in it. See fit_field.
         width, depth, activation: The network; the default has 2273 parameters. Knotty or sharp shapes come out better
@@ -158,6 +160,8 @@ def fit_mesh(
         TypeError: The module does not map points (N, 3) to N values.
     """
     begun = perf_counter()
+    if F is None:
+        V, F = meshref.as_mesh(V)
     options: dict[str, Any] = {"width": width, "depth": depth, "activation": activation, "steps": steps, "seed": seed}
     fixed = {"module": module, "start": training.get("start"), "checkpoint": checkpoint}
     require_training({**options, "seconds": seconds, **training, **fixed})

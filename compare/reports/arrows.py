@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
 from compare.cases.handles import HandleSpec
+from compare.cases.placing import said_in_field
 from compare.reports.views import View
 from compare.runs.records import Record
 
@@ -32,10 +35,19 @@ def arrows_of(record: Record, before: View) -> list[Arrow]:
     return found
 
 
+def with_handles_in_field(record: Record) -> Record:
+    """Return the record with its handles in the field's coordinates, whichever they were given in."""
+    if record.case.coordinates == "field" or "scale" not in record.subject:
+        return record
+    case = said_in_field(record.case, float(record.subject.scale or 1.0), tuple(record.subject.offset))
+    return replace(record, case=case)
+
+
 def _arrow(handle: HandleSpec, before: View, held: ndarray) -> Arrow:
     """Return the arrow of a handle in the coordinates of the view."""
     points = before.V[held]
-    middle = np.asarray(handle.region.get("center", points.mean(axis=0)), dtype=float)
+    center = handle.region.get("center", handle.region.get("points", points))
+    middle = np.atleast_2d(np.asarray(center, dtype=float)).mean(axis=0)
     away = np.linalg.norm(points - middle, axis=1)
     start = points[np.argmin(away)]
     motion = handle.motion

@@ -23,7 +23,7 @@ from numpy import ndarray
 
 from compare.cases.handles import HandleSpec
 from compare.operations.operation import operation_of
-from compare.reports.arrows import arrows_of
+from compare.reports.arrows import arrows_of, with_handles_in_field
 from compare.reports.azimuth import azimuth_of
 from compare.reports.pyvista_painter import paint_with_pyvista, pyvista_trouble
 from compare.reports.views import (
@@ -80,7 +80,7 @@ def draw_figures(
     folder = Path(folder)
     target = folder / "figures" if output is None else Path(output)
     by_shape: dict[str, list[Record]] = {}
-    for record in records:
+    for record in (with_handles_in_field(record) for record in records):
         if {"before", "implicit", "mesh"} <= set(record.artefacts):
             by_shape.setdefault(record.case.name, []).append(record)
     written = []
@@ -90,6 +90,37 @@ def draw_figures(
         for suffix in formats:
             path = target / f"{name}.{suffix}"
             figure.savefig(path, dpi=150)
+            written.append(path)
+    return written
+
+
+def write_models(records: Sequence[Record], folder: str | PathLike[str], output: str | PathLike[str]) -> list[Path]:
+    """Write the result of each method as a .glb whose vertices have the colours of the error, for any viewer.
+
+    Args:
+        records: Of a run; failed ones are left out.
+        folder: The run folder, where their meshes are.
+        output: The folder where they go.
+
+    Returns:
+        The files written.
+
+    Raises:
+        FileNotFoundError: A mesh that a record names is gone.
+    """
+    import meshref
+
+    written = []
+    for record in records:
+        views = load_views(record, Path(folder))
+        colours = colour_range(record, [view for name, view in views.items() if name != "before"])
+        for name, view in views.items():
+            if name == "before":
+                continue
+            shown = _map_of(colours)(Normalize(colours.low, colours.limit)(np.nan_to_num(view.values)))[:, :3]
+            path = Path(output) / f"{Path(record.artefacts[name].path).stem}.glb"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            meshref.write_mesh(path, view.V, view.F, colours=shown)
             written.append(path)
     return written
 

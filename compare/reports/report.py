@@ -23,6 +23,7 @@ import numpy as np
 from compare.cases.labels import labels
 from compare.files import plain, replace_file
 from compare.operations.operation import operation_of
+from compare.reports.arrows import arrows_of, with_handles_in_field
 from compare.reports.report_parts import (
     charted_of,
     failures_of,
@@ -84,6 +85,7 @@ def report(
         raise TypeError(f"records must be Records, as run_cases gives them, but are {records!r:.100}.")
     if up not in ("auto", "x", "y", "z"):
         raise ValueError(f'up must be "auto", "x", "y" or "z", but is {up!r}.')
+    records = [with_handles_in_field(record) for record in records]
     path = Path(path)
     folder = path.parent if folder is None else Path(folder)
     place = Path(__file__).parent
@@ -150,7 +152,6 @@ def _looks(records: Sequence[Record], folder: Path, up: str) -> list[tuple[Recor
 
 def _scene(record: Record, folder: Path, faces: int, arrays: dict[str, str], azimuth: float, up: Any) -> dict[str, Any]:
     """Return what the browser needs to draw a case."""
-    from compare.reports.arrows import arrows_of
     from compare.reports.views import ELEVATION, colour_range, load_views, simplified, simplified_alike
 
     loaded = load_views(record, folder)

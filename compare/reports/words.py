@@ -68,11 +68,14 @@ def length(value: Any) -> str:
 
 
 def _region(region: Mapping[str, Any]) -> str:
+    within = f"what lies within {length(region.get('radius', 0))} of "
     words = {
-        "ball": lambda r: f"what lies within {length(r['radius'])} of {place(r['center'])}",
+        "ball": lambda r: within + place(r["center"]),
         "box": lambda r: f"what lies in the box from {place(r['lower'])} to {place(r['upper'])}",
         "halfspace": lambda r: f"what lies beyond {place(r['point'])} in the direction {place(r['normal'])}",
-        "points": lambda r: f"what lies within {length(r['radius'])} of {_count(len(r['points']), 'point', 'points')}",
+        "points": lambda r: within + _count(len(r["points"]), "point", "points"),
+        "nearest": lambda r: f"{within}the surface's nearest place to {place(r['point'])}",
+        "vertices": lambda r: within + _count(len(r["vertices"]), "vertex", "vertices"),
     }
     kind = str(region["kind"])
     said = words[kind](region) if kind in words else f"a region of the kind {kind}"

@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 import implicit
 import meshref
 from compare.cases.case import Case
+from compare.cases.placing import placed
 from compare.cases.subject import Subject
 from compare.errors import Progress, begin, naming
 from compare.operations.operation import Outcome, Target, operation_of
@@ -61,6 +62,7 @@ def run_case(
     folder = None if folder is None else Path(folder)
     subject = prepare_subject(case, folder=folder, progress=progress)
     progress = naming(progress, case.name)
+    given, case = case, placed(case, subject)
     operation = operation_of(case.operation)
     target = target_motion(case, subject)
     sides, failures = edit_by_each(case, subject, target, progress)
@@ -82,11 +84,11 @@ def run_case(
     artefacts: Mapping[str, Artefact] = {}
     if folder is not None and keep_meshes:
         start = perf_counter()
-        artefacts = _write(case, subject, target, sides, errors, result, folder)
+        artefacts = _write(given, subject, target, sides, errors, result, folder)
         seconds["files"] = perf_counter() - start
     record = Record(
-        case=case,
-        key=case.key,
+        case=given,
+        key=given.key,
         status=" ".join(f"{name}: {rows[name].status}" for name in ("implicit", "mesh")),
         failed=bool(failures),
         subject=describe(subject, operation.error_means),
@@ -95,7 +97,7 @@ def run_case(
         seconds=seconds,
         notes=(*subject.notes, *_remarks(case, subject, sides, rows)),
         artefacts=artefacts,
-        provenance=provenance(case),
+        provenance=provenance(given),
     )
     return Record.from_dict(record.to_dict())  # plain numbers and lists, the same as will be read from its row
 

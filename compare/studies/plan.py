@@ -64,7 +64,7 @@ def plan(study: Study, inputs: Path, modules: Mapping[str, str | None] | None = 
         settings: dict[str, Any] = {**(QUICK_SIZE if study.quick else {}), "module": module, "bounds": bounds}
         for base in default_cases(shape, V, N, operations=study.operations, quick=study.quick, fit=fit, **settings):
             if study.handles and base.handles:
-                base = replace(base, handles=study.handles)
+                base = replace(base, handles=study.handles, coordinates=study.coordinates)
             for point in combinations(study):
                 cases.append(with_settings(base, {**study.settings, **point}))
     return cases

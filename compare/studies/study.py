@@ -26,7 +26,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from compare.cases.case import FIELD_SUFFIX, MESH_SUFFIXES
+from compare.cases.case import COORDINATES, FIELD_SUFFIX, MESH_SUFFIXES
 from compare.cases.handles import HandleSpec
 from compare.cases.labels import flat
 from compare.cases.registry import OPERATIONS, own_settings
@@ -35,7 +35,7 @@ from compare.errors import InputError
 from compare.files import plain
 from compare.runs.columns import columns
 
-KEYS = ("title", "shapes", "operations", "handles", "settings", "grid", "charts", "keep_meshes", "quick")
+KEYS = ("title", "shapes", "operations", "coordinates", "handles", "settings", "grid", "charts", "keep_meshes", "quick")
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,7 @@ class Study:
         charts: What is drawn, a panel each.
         keep_meshes: Whether the edited shapes are kept, and a report in 3D made of them.
         quick: Whether what is not set here is that of `run --quick`.
+        coordinates: Of the handles: "field", or "user", those of the shapes' files.
     """
 
     name: str
@@ -81,6 +82,7 @@ class Study:
     charts: tuple[Chart, ...] = ()
     keep_meshes: bool = True
     quick: bool = False
+    coordinates: str = "field"
 
     def __repr__(self) -> str:
         """Return what is varied over what, in one line."""
@@ -207,6 +209,7 @@ def parse_study(text: str, name: str, base: Path, *, quick: bool = False, shapes
         charts=tuple(_chart(row, name) for row in _rows(given, "charts", name)),
         keep_meshes=bool(given.get("keep_meshes", True)),
         quick=quick,
+        coordinates=str(given.get("coordinates", "field")),
     )
     _check(study, name)
     return study
@@ -218,6 +221,8 @@ def _check(study: Study, name: str) -> None:
         raise InputError(f"{twice[0]} is named twice in {name}. Name each shape once.")
     if study.handles and not any(OPERATIONS[operation].takes_handles for operation in study.operations):
         raise InputError(f"{name} gives handles, but {' and '.join(study.operations)} takes none.")
+    if study.coordinates not in COORDINATES:
+        raise InputError(f'coordinates in {name} must be "field" or "user", but is {study.coordinates!r}.')
     for setting in [*study.settings, *study.varied]:
         _require_setting(setting, study.operations, name)
     for setting, value in _values(study):

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from numpy import ndarray
 from torch import Tensor
 
 from implicit.arguments import require_callable, require_positive, require_whole
@@ -72,7 +73,7 @@ class EditStatus(Enum):
     UNSTABLE = "Stopped because the steps grew beyond what a linear prediction holds for; take smaller steps."
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Edit:
     """An edited field and the evidence of how it came about.
 
@@ -110,6 +111,48 @@ class Edit:
     after: Soundness | None = None
     notes: tuple[str, ...] = ()
     deformation: Deformation | None = None
+
+    def __repr__(self) -> str:
+        """Return how it ended and its main numbers in a line or two; all else is in its attributes."""
+        motion = float(self.displacement.norm(dim=1).nan_to_num().max()) if len(self.displacement) else 0.0
+        notes = "".join(f"\n  note: {note}" for note in self.notes)
+        return (
+            f"Edit({self.status.value!r} {len(self.history)} steps, {len(self.points)} points, largest motion "
+            f"{motion:.3g}, {self.seconds:.1f} s{notes})"
+        )
+
+    def frames(
+        self, V: Float[Tensor, "m d"] | Float[ndarray, "m d"], F: Int[ndarray, "k d"], *, units: str = "field"
+    ) -> list[tuple[Float[ndarray, "m d"], Int[ndarray, "k d"]]]:
+        """Return the meshes on the way: the given one, and it carried along by each step.
+
+        Its vertices are what the edit was to carry along, as in V, F = extract_mesh(field), track=torch.from_numpy(V).
+        A rigid edit by finite rotations knows where they end, and has no way there.
+
+        Args:
+            V: The points that were given as `track`, (M, D).
+            F: Faces between them, (K, D).
+            units: Of what is returned: "field", or "user", those of the file that the field was fitted to.
+
+        Raises:
+            ValueError: Nothing was carried along, or other points than V were; or units is another word.
+        """
+        if units not in ("field", "user"):
+            raise ValueError(f'units must be "field" or "user", but is {units!r}.')
+        if not self.trail:
+            raise ValueError(
+                "The edit carried no points along. Give it the vertices of a mesh: V, F = extract_mesh(field), then "
+                "track=torch.from_numpy(V)."
+            )
+        first = torch.as_tensor(V).to(self.trail[0])
+        if first.shape != self.trail[0].shape:
+            raise ValueError(
+                f"V must be the points that were given as track, {tuple(self.trail[0].shape)}, but has shape "
+                f"{tuple(first.shape)}."
+            )
+        ways = (first, *self.trail)
+        places = [self.field.units.to_user(points) if units == "user" else points for points in ways]
+        return [(points.detach().cpu().double().numpy(), F) for points in places]
 
     def error_field(self, sample: SurfaceSample | None = None) -> Float[Tensor, " n"]:
         """Return achieved minus wanted normal displacement over the largest wanted one [paper, error fields of fig. 4].

@@ -8,6 +8,7 @@ alone, and nothing in a file is executed.
 from __future__ import annotations
 
 import pickle
+import warnings
 import zipfile
 from collections.abc import Mapping
 from os import PathLike
@@ -26,7 +27,7 @@ from implicit.models.imnet import ImNet
 from implicit.models.layouts import DECODERS, LAYOUTS, NETWORKS, MisfitError, dictionaries, fitting
 
 Architecture = Literal["imnet", "dualsdf", "deepsdf"]
-Network = Literal["siren", "i3d", "igr", "neus", "volsdf"]
+Network = Literal["siren", "sine_layers", "i3d", "igr", "neus", "volsdf"]
 Decoder = ImNet | DualSdf | DeepSdf
 
 _CODES = ("latents", "latent_embeddings.weight_mu", "latent_codes.weight", "latent_codes")
@@ -88,14 +89,16 @@ def load_network(
 ) -> Field:
     """Return a field of a published network of one shape, out of a file.
 
-    "siren" is vsitzmann's SingleBVPNet, "i3d" the SIREN of i3d, "igr" the network of IGR, "neus" and "volsdf" the
-    networks of signed distances in the checkpoints of NeuS and VolSDF, whose renderers are left out; so is VolSDF's
-    sphere round the scene, which bounds its distances from above far from the object. `save_field` keeps any of them.
+    "siren" is vsitzmann's SingleBVPNet, "sine_layers" the Siren of the same authors' notebook, "i3d" the SIREN of i3d,
+    "igr" the network of IGR, "neus" and "volsdf" the networks of signed distances in the checkpoints of NeuS and
+    VolSDF, whose renderers are left out; so is VolSDF's sphere round the scene, which bounds its distances from above
+    far from the object. `save_field` keeps any of them.
 
     Args:
         path: A .safetensors, or what torch.save wrote.
         architecture: Name of the architecture whose layout the file has; "auto" takes the one that it fits.
-        first_frequency: Factor in the first sine of a SIREN (omega_0, w0), which no tensor tells; None is 30.
+        first_frequency: Factor in the first sine of a SIREN (omega_0, w0), which no tensor tells; None is 30. Networks
+            of the notebook have all kinds, so that a UserWarning says that 30 was taken.
         frequency: Factor in its later sines (i3d's ww); None is 30.
         scale: Factor of the points in IGR, NeuS and VolSDF, by which the value is divided; None is 1.
         sharpness: Of their softplus; None is 100.
@@ -119,6 +122,12 @@ def load_network(
             f"{foreign[0]} is no option of {chosen}, which takes {', '.join(LAYOUTS[chosen].options)}. Leave it out."
         )
     module = _module(path, content, chosen, dtype, **options)
+    if chosen == "sine_layers" and not {"first_frequency", "frequency"} <= set(options):
+        warnings.warn(
+            f"{path} does not tell the factors in its sines (first_omega_0, hidden_omega_0), and 30 was taken for what "
+            "was not given. Where it was trained with others, name them: first_frequency=, frequency=.",
+            stacklevel=2,
+        )
     return Field(module, level=level, inside=inside, bounds=bounds, units=units)
 
 

@@ -6,6 +6,7 @@
 | dualsdf | deepsdf_net., prim_attr_net. | in "trainer_state_dict" |
 | deepsdf | lin0 ... linK under weight norm but the last | after "module." in "model_state_dict" |
 | siren | net.net.0.0 ... net.net.K.0 | the state of a SingleBVPNet |
+| sine_layers | net.0.linear ... net.K | the state of the Siren of its authors' notebook, and of many after it |
 | i3d | net.0.0 ... net.K.0 | the state of a SIREN |
 | igr | lin0 ... linK | in "model_state_dict" |
 | neus | lin0 ... linK, all under weight norm | in "sdf_network_fine" |
@@ -54,6 +55,7 @@ class Layout:
         published: The name that one of the module's tensors has in a file.
         stands: Whether the tensors after this prefix, with the keys of the dictionaries round them, can be its own.
         unmistakable: Whether tensors that fit can be of no other architecture.
+        renamed: Returns the tensors by the names that the rest of the layout has for them.
     """
 
     first: str
@@ -63,6 +65,7 @@ class Layout:
     published: Callable[[str], str] = lambda name: name
     stands: Callable[[str], bool] = lambda place: True
     unmistakable: Callable[[State], bool] = lambda state: True
+    renamed: Callable[[State], State] = lambda state: state
 
     def find(self, content: Mapping[str, Any]) -> State:
         """Return its tensors by their published names, wherever in the file and after whatever prefix.
@@ -77,7 +80,7 @@ class Layout:
                 prefix = name.removesuffix(self.first)
                 begins = name == self.first or name.endswith("." + self.first)
                 if begins and self.stands(place + prefix):
-                    return {key.removeprefix(prefix): tensors[key] for key in tensors if key.startswith(prefix)}
+                    return self.renamed({k.removeprefix(prefix): tensors[k] for k in tensors if k.startswith(prefix)})
         raise MisfitError(f"{self.first} is missing")
 
     def module(self, content: Mapping[str, Any], dtype: torch.dtype, **options: float) -> nn.Module:
@@ -205,6 +208,26 @@ def _of_siren(prefix: str) -> Callable[[str], str]:
     return lambda own: re.sub(r"^layers\.(\d+)\.", rf"{prefix}.\1.0.", own)
 
 
+def _sine_layers(state: State, first_frequency: float, frequency: float) -> Siren:
+    width, inputs = _matrix(state, "net.0.linear")
+    places = [int(found[1]) for name in state if (found := re.match(r"net\.(\d+)\.", name))]
+    last = max(places)
+    if LAST_SINE in state:
+        raise ValueError(f"its last layer, net.{last}, is a sine, but values on both sides of 0 want a linear one")
+    if last == 0:
+        raise KeyError("net.1.weight")
+    return Siren(inputs, width, last, first_frequency=first_frequency, frequency=frequency)
+
+
+def _with_linear(state: State) -> State:
+    """Return the tensors with the last layer, which has no sine, called as those before; one with a sine is marked."""
+    places = [int(found[1]) for name in state if (found := re.match(r"net\.(\d+)\.", name))]
+    last = max(places, default=0)
+    if f"net.{last}.linear.weight" in state and last > 0:
+        return {**state, LAST_SINE: state[f"net.{last}.linear.weight"]}
+    return {re.sub(rf"^net\.{last}\.(weight|bias)$", rf"net.{last}.linear.\1", name): state[name] for name in state}
+
+
 def _igr(state: State, scale: float, sharpness: float) -> SdfNetwork:
     if "lin0.weight" not in state:
         raise KeyError("lin0.weight")
@@ -267,6 +290,7 @@ def _renders(place: str) -> bool:
     return re.search(r"(color|rendering|implicit|bg)_network|nerf", place) is not None
 
 
+LAST_SINE = "the last layer's sine"  # a mark among tensors
 _FREQUENCIES = {"first_frequency": 30.0, "frequency": 30.0}
 _SCALE = {"scale": 1.0, "sharpness": 100.0}
 
@@ -295,6 +319,14 @@ NETWORKS: dict[str, Layout] = {
         _siren("net.net"),
         _FREQUENCIES,
         published=_of_siren("net.net"),
+    ),
+    "sine_layers": Layout(
+        "net.0.linear.bias",
+        "net.0.linear ... net.(K-1).linear and net.K, weight and bias each, of one width",
+        _sine_layers,
+        _FREQUENCIES,
+        published=lambda own: re.sub(r"^layers\.(\d+)\.", r"net.\1.linear.", own),
+        renamed=_with_linear,
     ),
     "i3d": Layout(
         "net.0.0.bias",

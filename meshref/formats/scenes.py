@@ -1,4 +1,4 @@
-"""Scenes of several meshes, each in its place: .glb and .gltf, .3mf, .dae.
+"""Scenes of several meshes, each in its place: .glb, which is written too, and .gltf, .3mf, .dae.
 
 Read by trimesh, and .dae by pycollada with polygons split as those of all formats. What these would pass over without
 a word is refused first: compressed, sparse or normalised coordinates of glTF, and primitives that are no triangles.
@@ -49,6 +49,18 @@ def read_dae(path: Path, content: bytes) -> Part:
     if scene is None:
         raise DamageError("it holds no scene that says where its geometries are")
     return _joined(_foreign(lambda: list(_collada_parts(scene))))
+
+
+def written_glb(V: FloatArray, F: IntArray, colours: FloatArray | None) -> bytes:
+    """Return a .glb of one mesh, with a colour a vertex if given; what it says it holds is looked at again."""
+    trimesh = importlib.import_module("trimesh")
+    # By whole numbers, for trimesh takes what is not above 1 for them too.
+    colour = None if colours is None else np.round(255 * np.column_stack([colours, np.ones(len(V))])).astype(np.uint8)
+    content = bytes(trimesh.Trimesh(V, F, vertex_colors=colour, process=False).export(file_type="glb"))
+    found = _require_plain(_header(content))
+    if found != len(F):
+        raise DamageError(f"trimesh writes {found} of {len(F)} triangles")
+    return content
 
 
 def _collada_parts(scene: Any) -> Iterator[Part]:

@@ -4,6 +4,7 @@ The readings below follow the publications and know nothing of implicit.models: 
 """
 
 import math
+import re
 
 import pytest
 import torch
@@ -108,6 +109,41 @@ def test_a_siren_of_i3d_evaluates_as_its_layout_reads(tmp_path):
     agrees(field, x, read_sines(state, "net", x, 60.0, 15.0))
 
 
+def notebook(read):
+    """The state of the notebook's Siren: net.k.linear, and net.K for the last layer, which has no sine."""
+    state, last = {}, len(read) // 2 - 1
+    for name, tensor in read.items():
+        place, kind = re.fullmatch(r"net\.(\d+)\.0\.(weight|bias)", name).groups()
+        state[f"net.{place}.{kind}" if int(place) == last else f"net.{place}.linear.{kind}"] = tensor
+    return state
+
+
+@pytest.mark.parametrize("prefix", ["", "module."])
+def test_a_siren_of_the_notebook_evaluates_as_its_layout_reads_with_its_factors_or_a_warning(tmp_path, prefix):
+    read = sines("net", [3, 20, 20, 20, 1])
+    torch.save({f"{prefix}{name}": tensor for name, tensor in notebook(read).items()}, tmp_path / "siren.pth")
+    x = points()
+    known = {"first_frequency": 60.0, "frequency": 15.0}
+    field = implicit.load_network(tmp_path / "siren.pth", "sine_layers", **known, dtype=torch.float64)
+    agrees(field, x, read_sines(read, "net", x, 60.0, 15.0))
+    with pytest.warns(UserWarning, match="does not tell the factors in its sines.*30 was taken"):
+        field = implicit.load_network(tmp_path / "siren.pth", dtype=torch.float64)
+    agrees(field, x, read_sines(read, "net", x))
+    with pytest.raises(
+        ValueError, match=r"fits the layout of sine_layers. Load it by load_network\(path, 'sine_layers'\)"
+    ):
+        implicit.load_checkpoint(tmp_path / "siren.pth", "auto")
+
+
+def test_a_notebooks_siren_whose_last_layer_is_a_sine_is_refused(tmp_path):
+    state = notebook(sines("net", [3, 8, 8, 1]))
+    for kind in ("weight", "bias"):
+        state[f"net.2.linear.{kind}"] = state.pop(f"net.2.{kind}")
+    save_file(state, tmp_path / "a.safetensors")
+    with pytest.raises(ValueError, match=r"its last layer, net\.2, is a sine"):
+        implicit.load_network(tmp_path / "a.safetensors", "sine_layers")
+
+
 def test_a_network_of_igr_evaluates_as_its_layout_reads(tmp_path):
     state = layers(3, 32, 8, 4, 1, normed=False)
     torch.save({"epoch": 100, "model_state_dict": state}, tmp_path / "100000.pth")
@@ -207,7 +243,9 @@ def test_a_decoder_and_a_network_are_loaded_by_the_function_for_them(tmp_path):
         implicit.load_checkpoint(tmp_path / "s.safetensors", "auto")
     with pytest.raises(ValueError, match=r"imnet is an architecture that takes a code.*load_checkpoint"):
         implicit.load_network(tmp_path / "s.safetensors", "imnet")
-    with pytest.raises(ValueError, match="architecture must be one of siren, i3d, igr, neus, volsdf, auto"):
+    with pytest.raises(
+        ValueError, match="architecture must be one of siren, sine_layers, i3d, igr, neus, volsdf, auto"
+    ):
         implicit.load_network(tmp_path / "s.safetensors", "nerf")
 
 
