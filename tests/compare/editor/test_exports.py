@@ -82,7 +82,7 @@ def test_a_ray_meets_the_near_side_of_a_sphere(sphere):
 
 
 def test_the_line_of_sight_goes_through_the_place_on_the_screen():
-    """A camera turned half round about x looks along -z with y up; a right angle of view sees 45 degrees up at the top."""
+    """A camera turned half round about x looks along -z, y up; in a right angle of view the top is 45 degrees up."""
     turned = np.array([0.0, 1.0, 0.0, 0.0])
     np.testing.assert_allclose(sight(turned, np.pi / 2, 2.0, (0.5, 0.5)), [0.0, 0.0, -1.0], atol=1e-12)
     np.testing.assert_allclose(
