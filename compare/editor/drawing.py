@@ -74,7 +74,8 @@ def colours(values: Float[ndarray, " n"], largest: float) -> Float[ndarray, "n 3
 def scale_of_colours(title: str, largest: float) -> str:
     """Return the scale as HTML, with numbers in per cent."""
     stops = ", ".join(f"rgb{colour}" for colour in (NEGATIVE, MIDDLE, POSITIVE))
-    ends = "".join(f"<span>{value:+.3g} %</span>" for value in (-100 * largest, 0.0, 100 * largest))
+    top = f"{100 * largest:.3g} %"
+    ends = f"<span>-{top}</span><span>0</span><span>+{top}</span>"
     return (
         f'<div style="padding:0.3em 0.8em;font-size:0.85em">{escape(title)}'
         '<div style="height:0.8em;border-radius:3px;margin:0.3em 0;'

@@ -86,7 +86,13 @@ METHODS: Mapping[str, Callable[..., tuple[Float[ndarray, "n 3"], str]]] = {
 
 
 def beside(
-    before: implicit.Field, edit: implicit.Edit, handles: Sequence[HandleSpec], method: str, *, rest_stays: bool
+    before: implicit.Field,
+    edit: implicit.Edit,
+    handles: Sequence[HandleSpec],
+    method: str,
+    *,
+    rest_stays: bool,
+    vertices: int = VERTICES,
 ) -> Beside:
     """Return what a mesh method makes of the handles of an edit.
 
@@ -96,13 +102,14 @@ def beside(
         handles: Of the edit.
         method: One of METHODS.
         rest_stays: Whether vertices in no region are held, as in a geometric edit.
+        vertices: About how many the mesh has.
 
     Raises:
         InputError: There is no such method, or it has no handle or nothing to move.
     """
     if method not in METHODS:
         raise InputError(f"A method is one of {', '.join(METHODS)}, but got {method!r}.")
-    points, faces = even_mesh(before, VERTICES)
+    points, faces = even_mesh(before, vertices)
     V, F = points.double().numpy(), faces.numpy()
     N = before.normal(points.to(before.theta)).double().numpy()
     at, displacement = _targets(V, N, handles, rest_stays)

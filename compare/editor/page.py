@@ -18,6 +18,7 @@ from contextlib import redirect_stdout
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -50,7 +51,9 @@ from compare.editor.worker import Worker
 from compare.errors import InputError
 
 HOST = "127.0.0.1"
-LOOPBACK = (HOST, "localhost", "::1")
+
+# Seconds between two sentences while the hand moves.
+SAYING = 0.2
 
 
 class EditorPage:
@@ -71,6 +74,7 @@ class EditorPage:
     def __init__(self, session: EditSession, *, host: str = HOST, port: int = 8080) -> None:
         self.session = session
         self.frames = 0
+        self._said = 0.0
         self._start = session.measures()
         self._corner: Float[ndarray, " 3"] | None = None  # the first of two clicks
         self._stroke: list[Float[ndarray, " 3"]] = []
@@ -83,7 +87,8 @@ class EditorPage:
             self.server = viser.ViserServer(
                 host=host, port=port, label=f"Edit {Path(session.source.shape).stem}", verbose=False
             )
-        self.server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+        self._set_theme(dark=False)
+        self.server.gui.main_panel.dock_right()
         self._set_camera()
         self.controls = controls_of(self.server.gui, session)
         self._shape = self._add_shape()
@@ -145,15 +150,16 @@ class EditorPage:
         for control in (c.volume, c.area, c.points, c.steps):
             control.on_update(lambda _: self.worker.do(self._prepare))
         c.export.on_click(lambda event: self.worker.do(lambda: self._export(event.client)))
-        c.dark.on_update(
-            lambda _: self.server.gui.configure_theme(
-                dark_mode=c.dark.value, show_logo=False, show_share_button=False, control_width="large"
-            )
-        )
+        c.dark.on_update(lambda _: self._set_theme(dark=c.dark.value))
 
     def _new_pick(self) -> None:
         self._corner = None
-        self.controls.hint.content = HINTS[self.controls.pick.value]
+        how = self.controls.pick.value
+        self.controls.hint.content = HINTS[how]
+        # A shape that can be dragged over takes the pointer from the parts of the gizmo that lie within it.
+        self._shape.remove_drag_callback("all")
+        if how == "brush":
+            self._shape.on_drag("left", modifier="shift")(self._on_brush)
 
     def _new_tool(self) -> None:
         c = self.controls
@@ -284,7 +290,9 @@ class EditorPage:
         self._show_shape()
         self._shape.vertices = frame.V.astype(np.float32)
         self.frames += 1
-        self.say(frame.sentence())
+        if monotonic() - self._said > SAYING:  # or drawing the words would hold up the shape
+            self._said = monotonic()
+            self.say(frame.sentence())
 
     def _apply(self) -> None:
         if self.controls.tool.value == SMOOTH:
@@ -320,7 +328,8 @@ class EditorPage:
 
     def _say_entry(self, entry: Any) -> None:
         missed = entry.numbers.get("missed")
-        share = "" if missed is None else f" {100 * missed:.2g} % was missed."
+        told = any("is missed" in note for note in entry.notes)
+        share = "" if missed is None or told else f" {100 * missed:.2g} % was missed."
         fine = "" if entry.judged else " Pieces are being counted on finer cells."
         self.say(" ".join([f"**{entry.name}**, {entry.seconds:.1f} s: {entry.status}{share}{fine}", *entry.notes]))
 
@@ -368,6 +377,9 @@ class EditorPage:
 
     # Work: what is drawn
 
+    def _set_theme(self, *, dark: bool) -> None:
+        self.server.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
+
     def _set_camera(self) -> None:
         self.server.scene.set_up_direction("+y")
         self.server.scene.configure_default_lights(cast_shadow=False)  # which would be drawn anew in every frame
@@ -389,7 +401,6 @@ class EditorPage:
         )
         # A click on the scene, for a node that can be clicked is outlined, which hides what is picked on it.
         self.server.scene.on_click()(self._on_click)
-        shape.on_drag("left", modifier="shift")(self._on_brush)
         return shape
 
     def _refresh(self) -> None:
@@ -485,7 +496,8 @@ class EditorPage:
         largest = drawing.shown_range(values)
         painted = drawing.colours(values, largest).astype(np.uint8)
         mesh = trimesh.Trimesh(places, before.F, vertex_colors=painted, process=False)
-        self.server.scene.add_mesh_trimesh("/coloured", mesh)
+        _ = mesh.vertex_normals  # which are sent once they are known, so that the shape is not drawn in facets
+        self.server.scene.add_mesh_trimesh("/coloured", mesh, cast_shadow=False, receive_shadow=False)
         self._shape.visible = False
         self._shown = (places, before.F)
         self.controls.scale.content = drawing.scale_of_colours(title, largest)
@@ -531,7 +543,7 @@ class EditorPage:
         if found is None:
             return
         low, high = found.V.min(axis=0), found.V.max(axis=0)
-        away = np.array([1.15 * (high[0] - low[0]), 0.0, 0.0])
+        away = np.array([1.5 * (high[0] - low[0]), 0.0, 0.0])
         scene.add_mesh_simple(
             "/beside",
             (found.moved + away).astype(np.float32),
