@@ -24,7 +24,17 @@ edits["one longer, one shorter"] = implicit.semantic_edit(airplane, points, disp
 
 for name, edit in edits.items():
     W = implicit.extract_mesh(edit.field, resolution=48)[0]
-    print(f"{name}: wings to {W[:, 0].min():.2f} and {W[:, 0].max():.2f}, were {V[:, 0].min():.2f} and {V[:, 0].max():.2f}")
+    print(
+        f"{name}: wings to {W[:, 0].min():.2f} and {W[:, 0].max():.2f}, were {V[:, 0].min():.2f} and {V[:, 0].max():.2f}"
+    )
     print(" ", edit.status.value)
 
-compare.draw(airplane, *edits.values(), titles=["before", *edits], colours="plain", resolution=80, azimuth=35, path="airplane_wing.png")
+compare.draw(
+    airplane,
+    *edits.values(),
+    titles=["before", *edits],
+    colours="plain",
+    resolution=80,
+    azimuth=35,
+    path="airplane_wing.png",
+)

@@ -21,7 +21,9 @@ top = Handle(HalfSpace((0, 0.6, 0), (0, 1, 0)), bent)
 V, F = implicit.extract_mesh(field, resolution=32)
 edits = {}
 for method, steps in (("linear", 4), ("finite", 1)):
-    edits[method] = implicit.rigid_edit(field, [foot, top], method=method, steps=steps, points=900, track=torch.from_numpy(V))
+    edits[method] = implicit.rigid_edit(
+        field, [foot, top], method=method, steps=steps, points=900, track=torch.from_numpy(V)
+    )
     energy = meshref.arap_energy(V, F, edits[method].tracked.numpy())
     print(f"{method}: ARAP energy {energy:.4f}, {edits[method].seconds:.0f} s. {edits[method].status.value}")
 

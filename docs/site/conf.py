@@ -32,7 +32,11 @@ exclude_patterns = ["site", "gallery/README.md", "**/__pycache__"]
 suppress_warnings = ["ref.python"]  # fields of several results have one name, `seconds`, and need no link
 nitpicky = True
 # Types of other libraries, and our own that are no public names: there is nothing here to link to.
-nitpick_ignore_regex = [("py:class", r".*"), ("py:data", r"typing\..*"), ("py:obj", r"(typing|collections|jaxtyping)\..*")]
+nitpick_ignore_regex = [
+    ("py:class", r".*"),
+    ("py:data", r"typing\..*"),
+    ("py:obj", r"(typing|collections|jaxtyping)\..*"),
+]
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3

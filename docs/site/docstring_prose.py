@@ -55,7 +55,11 @@ def remarks(thing: type) -> list[str]:
     found = []
     for node in tree.body:
         if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-            remark = lines[int(node.end_lineno or node.lineno) - 1][int(node.end_col_offset or 0) :].partition("#")[2].strip()
+            remark = (
+                lines[int(node.end_lineno or node.lineno) - 1][int(node.end_col_offset or 0) :]
+                .partition("#")[2]
+                .strip()
+            )
             if remark and not node.target.id.startswith("_"):
                 found.append(f"    {node.target.id}: {remark[0].upper()}{remark[1:]}.")
     return ["", "Attributes:", *found] if found else []

@@ -25,7 +25,13 @@ def run(script: Path, folder: Path, *, timeout: float = 600.0) -> str:
     """
     environment = {**os.environ, "MPLBACKEND": "Agg"}
     done = subprocess.run(
-        [sys.executable, str(script)], cwd=folder, capture_output=True, text=True, env=environment, timeout=timeout, check=False
+        [sys.executable, str(script)],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        env=environment,
+        timeout=timeout,
+        check=False,
     )
     if done.returncode != 0:
         raise RuntimeError(f"{script.name} failed:\n{done.stdout}\n{done.stderr}")
