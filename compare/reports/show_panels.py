@@ -171,7 +171,7 @@ def _mesh(thing: object, place: int) -> Panel:
     values = np.full(V.shape[:1], np.nan) if len(thing) == 2 else np.asarray(thing[2], dtype=np.float64)
     if values.shape != V.shape[:1]:
         raise ValueError(f"values must be a number for each of the {len(V)} vertices, but have shape {values.shape}.")
-    if V.ndim == 2 and F.ndim == 2 and F.dtype.kind in "iu" and F.size and 0 <= F.min() and F.max() < len(V):
+    if V.ndim == 2 and F.ndim == 2 and F.dtype.kind in "iu" and F.size and F.min() >= 0 and F.max() < len(V):
         used, places = np.unique(
             F, return_inverse=True
         )  # what no face has is not drawn, and no reason to refuse the rest

@@ -3,10 +3,11 @@
 A mesh in millimetres becomes a field, is edited at places given in millimetres, and goes back as a mesh in millimetres.
 """
 
+import numpy as np
+
 import compare
 import implicit
 import meshref
-import numpy as np
 from implicit import Along, Ball, Handle
 
 # A file of yours would do: .obj, .off, .ply, .stl, .glb and more. This is a ring of 74 by 104 mm, far from the origin.

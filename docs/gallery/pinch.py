@@ -4,9 +4,10 @@ A thin neck between two balls gets thinner under mean-curvature flow until it br
 and its record says in which step there were two.
 """
 
+import torch
+
 import compare
 import implicit
-import torch
 from implicit import Holding, Volume, shapes
 
 # Two balls on a bar, as a formula, and a network fitted to it: points on the surface, near it, and all over the box.

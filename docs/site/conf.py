@@ -1,6 +1,6 @@
 """The documentation's site: docs/*.md as they are, the reference from docstrings, the gallery from its scripts.
 
-Build it by `bash .ci/site`, or `sphinx-build -W --keep-going -c docs/site docs site`. It needs `pip install ".[docs]"` and no network.
+`bash .ci/site` builds it. It needs `pip install ".[docs]"` and no network.
 """
 
 import sys
@@ -13,7 +13,7 @@ sys.path[:0] = [str(HERE), str(ROOT)]
 
 project = "implicit-vs-mesh"
 release = version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
-copyright = "the authors of implicit-vs-mesh, MIT"  # the name that Sphinx wants  # noqa: A001
+copyright = "the authors of implicit-vs-mesh, MIT"  # the name that Sphinx wants
 
 extensions = [
     "myst_parser",

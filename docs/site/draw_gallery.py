@@ -1,4 +1,4 @@
-"""Run the scripts of the gallery, and keep their pictures and what they print: python docs/site/draw_gallery.py [NAME ...]
+"""Run scripts of the gallery, keep their pictures and what they print: python docs/site/draw_gallery.py [NAME ...]
 
 Each runs in an empty folder of its own. The picture NAME.png and the text NAME.txt go beside the script, to be looked
 at and committed; the site shows them and runs nothing.

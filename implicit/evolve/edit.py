@@ -155,7 +155,8 @@ class Edit:
     def __repr__(self) -> str:
         """Return how it ended and how far the surface moved, in two lines."""
         facts = dict(self._facts())
-        return f"Edit: {self.status.name} after {facts['steps']}: {self.status.value}\n  {facts['motion']}, {facts['points']}"
+        came_to = f"{facts['motion']}, {facts['points']}"
+        return f"Edit: {self.status.name} after {facts['steps']}: {self.status.value}\n  {came_to}"
 
     def _repr_html_(self) -> str:
         """Return a small table for notebooks."""

@@ -9,7 +9,7 @@ import meshref
 from compare import draw, show
 from compare.reports.figures import HELD, MOVED, SURFACE
 from compare.reports.show_panels import limit_of, panels_of, vertex_colours
-from implicit import Along, Ball, HalfSpace, Handle, shapes
+from implicit import Along, HalfSpace, Handle, shapes
 
 BALL = shapes.sphere(0.5)
 
