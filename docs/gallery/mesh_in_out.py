@@ -25,9 +25,7 @@ print(fit)
 place = V[V[:, 0].argmax()]
 center = field.units.to_field(field.theta.new_tensor(place)).tolist()
 mm = 1 / field.units.scale
-edit = implicit.geometric_edit(
-    field, Handle(Ball(center, 3 * mm, falloff=15 * mm), Along(3 * mm)), "free", steps=3, points=1000
-)
+edit = implicit.geometric_edit(field, Handle(Ball(center, 3 * mm, falloff=18 * mm), Along(3 * mm)), points=1000)
 print(edit.status.value)
 
 # %%

@@ -30,6 +30,7 @@ root_doc = "index"
 source_suffix = {".md": "markdown", ".rst": "restructuredtext", ".py": "markdown"}  # scripts: see gallery_pages.py
 exclude_patterns = ["site", "gallery/README.md", "**/__pycache__"]
 suppress_warnings = ["ref.python"]  # fields of several results have one name, `seconds`, and need no link
+smartquotes = False  # what stands in quotes is often to be typed
 nitpicky = True
 # Types of other libraries, and our own that are no public names: there is nothing here to link to.
 nitpick_ignore_regex = [
