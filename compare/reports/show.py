@@ -158,7 +158,9 @@ def draw(
         axes.title.set_fontsize(9)
     label = _label(panels)
     if label is not None:
-        bar = figure.colorbar(ScalarMappable(Normalize(-limit[1], limit[1]), COLOURS), ax=list(row), shrink=0.8, pad=0.01)
+        bar = figure.colorbar(
+            ScalarMappable(Normalize(-limit[1], limit[1]), COLOURS), ax=list(row), shrink=0.8, pad=0.01
+        )
         bar.ax.set_ylim(*limit)
         bar.set_label(label, fontsize=6)
         bar.ax.tick_params(labelsize=6)

@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 import implicit
 import meshref
 from compare.reports.figures import COLOURS, HELD, MOVED, SURFACE
-from compare.reports.views import View, colour_limit, simplified
+from compare.reports.views import View, simplified
 from implicit import Edit, Field
 
 Colours = Literal["auto", "error", "motion", "plain"]
@@ -94,8 +94,10 @@ def limit_of(panels: Sequence[Panel]) -> tuple[float, float]:
     finite = [values for values in finite if len(values)]
     if not finite:
         return 0.0, 1.0
-    limit = colour_limit([View(np.zeros((0, 3)), np.zeros((0, 3), np.int64), values) for values in finite])
-    return (0.0 if min(values.min() for values in finite) >= 0 else -limit), limit
+    values = np.concatenate(finite)
+    # Not the largest, which is often one vertex at a sharp edge and would leave the rest without colour.
+    limit = float(np.quantile(np.abs(values), 0.99)) or float(np.abs(values).max()) or 1.0
+    return (0.0 if values.min() >= 0 else -limit), limit
 
 
 def vertex_colours(panel: Panel, limit: tuple[float, float]) -> Float[ndarray, "n 3"]:
@@ -169,8 +171,10 @@ def _mesh(thing: object, place: int) -> Panel:
     values = np.full(V.shape[:1], np.nan) if len(thing) == 2 else np.asarray(thing[2], dtype=np.float64)
     if values.shape != V.shape[:1]:
         raise ValueError(f"values must be a number for each of the {len(V)} vertices, but have shape {values.shape}.")
-    if V.ndim == 2 and F.ndim == 2 and F.dtype.kind in "iu" and F.size and 0 <= F.min() and F.max() < len(V):
-        used, places = np.unique(F, return_inverse=True)  # what no face has is not drawn, and no reason to refuse the rest
+    if V.ndim == 2 and F.ndim == 2 and F.dtype.kind in "iu" and F.size and F.min() >= 0 and F.max() < len(V):
+        used, places = np.unique(
+            F, return_inverse=True
+        )  # what no face has is not drawn, and no reason to refuse the rest
         V, F, values = V[used], places.reshape(F.shape), values[used]
     V, F = meshref.check_mesh(V, F, degenerate="allow")
     return Panel("mesh", simplified(View(V, F, values), MOST_FACES), None if len(thing) == 2 else LABELS["given"])

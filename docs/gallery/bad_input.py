@@ -4,10 +4,11 @@ Nothing is guessed and nothing half done: what cannot be used is refused before 
 came, and what to do. A mesh that can be mended is mended, and every change is told.
 """
 
+import numpy as np
+
 import compare
 import implicit
 import meshref
-import numpy as np
 from implicit import Ball, Handle, shapes
 
 field = shapes.bundled("cactus")

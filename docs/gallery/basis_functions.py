@@ -1,7 +1,7 @@
 """Basis functions and their symmetry
 
-How the surface moves for a unit of one parameter, -(df/dtheta)/|df/dx|, is a function on the surface [paper, eq. 3]. Those
-of early layers of a network are smooth, later ones finer; directions of a code mean something.
+How the surface moves for a unit of one parameter, -(df/dtheta)/|df/dx|, is a function on the surface [paper, eq. 3]. A
+weight of each layer has one of its own; directions of a code mean something.
 """
 
 import compare

@@ -1,7 +1,7 @@
 """Shorten one leg of a chair
 
-A semantic edit prescribes how a few points move and changes only the code of a generative model. The other legs follow, as
-the model has learned it.
+A semantic edit prescribes how a few points move and changes only the code of a generative model. The other legs follow,
+as the model has learned it.
 """
 
 import compare

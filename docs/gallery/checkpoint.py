@@ -4,9 +4,10 @@ Networks of SIREN, i3d, IGR, NeuS and VolSDF are read as their authors' code sav
 SIREN is written first, to have one; with a file of yours, begin at `load_network`.
 """
 
+import torch
+
 import compare
 import implicit
-import torch
 from implicit import Ball, HalfSpace, Handle, shapes
 
 # The bundled cow is a network of sines: its weights under the names that SIREN's code gives them.

@@ -4,9 +4,10 @@
 by which they are told apart.
 """
 
+import numpy as np
+
 import compare
 import meshref
-import numpy as np
 
 V, F = meshref.cylinder(40, 60, radius=0.2, height=2.0)
 held = np.flatnonzero(V[:, 2] < -0.85)

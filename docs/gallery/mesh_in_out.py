@@ -3,10 +3,11 @@
 A mesh in millimetres becomes a field, is edited at places given in millimetres, and goes back as a mesh in millimetres.
 """
 
+import numpy as np
+
 import compare
 import implicit
 import meshref
-import numpy as np
 from implicit import Along, Ball, Handle
 
 # A file of yours would do: .obj, .off, .ply, .stl, .glb and more. This is a ring of 74 by 104 mm, far from the origin.
@@ -24,7 +25,7 @@ print(fit)
 place = V[V[:, 0].argmax()]
 center = field.units.to_field(field.theta.new_tensor(place)).tolist()
 mm = 1 / field.units.scale
-edit = implicit.geometric_edit(field, Handle(Ball(center, 3 * mm, falloff=15 * mm), Along(3 * mm)), "free", steps=3, points=1000)
+edit = implicit.geometric_edit(field, Handle(Ball(center, 3 * mm, falloff=18 * mm), Along(3 * mm)), points=1000)
 print(edit.status.value)
 
 # %%

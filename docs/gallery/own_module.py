@@ -1,6 +1,6 @@
 """A torch module of your own
 
-Any module that maps points to values is a field: trained, edited, saved with the name of what builds it, and read again.
+Any module that maps points to values is a field: trained, edited, saved with the name of what builds it, read again.
 """
 
 import sys
@@ -17,7 +17,8 @@ from torch import nn
 
 def make(width=32):
     torch.manual_seed(0)
-    return nn.Sequential(nn.Linear(3, width), nn.Softplus(20), nn.Linear(width, width), nn.Softplus(20), nn.Linear(width, 1))
+    soft = nn.Softplus(20)
+    return nn.Sequential(nn.Linear(3, width), soft, nn.Linear(width, width), soft, nn.Linear(width, 1))
 """)
 sys.path.insert(0, "")  # files of this folder
 from my_nets import make  # noqa: E402

@@ -4,9 +4,10 @@ A thin neck between two balls gets thinner under mean-curvature flow until it br
 and its record says in which step there were two.
 """
 
+import torch
+
 import compare
 import implicit
-import torch
 from implicit import Holding, Volume, shapes
 
 # Two balls on a bar, as a formula, and a network fitted to it: points on the surface, near it, and all over the box.
@@ -21,10 +22,10 @@ dumbbell, training = implicit.fit_field(points, body.value(points), body.normal(
 print(training)
 
 # %%
-holding = Holding(resolution=20, fine_resolution=48)
+holding = Holding(resolution=20, fine_resolution=32, finest_resolution=32)
 options = {"step_size": 5e-4, "points": 200, "directions": 100, "resolution": 24}
-edit = implicit.smooth(dumbbell, steps=10, constraints=[Volume()], holding=holding, **options)
+edit = implicit.smooth(dumbbell, steps=8, constraints=[Volume()], holding=holding, **options)
 for step, row in enumerate(edit.history, start=1):
     print(f"step {step}: {row['components']} component(s), volume {row['volume']:.6f}", row.get("event", ""))
 
-compare.draw(dumbbell, edit, titles=["before", "after 10 steps"], azimuth=0, path="pinch.png")
+compare.draw(dumbbell, edit, titles=["before", "after 8 steps"], azimuth=0, path="pinch.png")

@@ -3,10 +3,11 @@
 Fields in two dimensions are curves. One is pulled at a place, once freely and once with its length held.
 """
 
-import implicit
 import matplotlib.pyplot as plt
 import torch
 from matplotlib.collections import LineCollection
+
+import implicit
 from implicit import Along, Area, Ball, Handle
 
 # A circle held by a network, fitted to its exact distance. The dimension is that of the bounds.

@@ -1,6 +1,6 @@
 """The documentation's site: docs/*.md as they are, the reference from docstrings, the gallery from its scripts.
 
-Build it by `bash .ci/site`, or `sphinx-build -W --keep-going -c docs/site docs site`. It needs `pip install ".[docs]"` and no network.
+`bash .ci/site` builds it. It needs `pip install ".[docs]"` and no network.
 """
 
 import sys
@@ -13,7 +13,7 @@ sys.path[:0] = [str(HERE), str(ROOT)]
 
 project = "implicit-vs-mesh"
 release = version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
-copyright = "the authors of implicit-vs-mesh, MIT"  # the name that Sphinx wants  # noqa: A001
+copyright = "the authors of implicit-vs-mesh, MIT"  # the name that Sphinx wants
 
 extensions = [
     "myst_parser",
@@ -30,9 +30,14 @@ root_doc = "index"
 source_suffix = {".md": "markdown", ".rst": "restructuredtext", ".py": "markdown"}  # scripts: see gallery_pages.py
 exclude_patterns = ["site", "gallery/README.md", "**/__pycache__"]
 suppress_warnings = ["ref.python"]  # fields of several results have one name, `seconds`, and need no link
+smartquotes = False  # what stands in quotes is often to be typed
 nitpicky = True
 # Types of other libraries, and our own that are no public names: there is nothing here to link to.
-nitpick_ignore_regex = [("py:class", r".*"), ("py:data", r"typing\..*"), ("py:obj", r"(typing|collections|jaxtyping)\..*")]
+nitpick_ignore_regex = [
+    ("py:class", r".*"),
+    ("py:data", r"typing\..*"),
+    ("py:obj", r"(typing|collections|jaxtyping)\..*"),
+]
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3

@@ -1,4 +1,4 @@
-"""Docstrings as prose: what they say in plain text is not markup, names in backticks are code, formulas are set apart."""
+"""Docstrings as prose: plain text is no markup, names in backticks are code, formulas are set apart."""
 
 import ast
 import dataclasses
@@ -55,7 +55,11 @@ def remarks(thing: type) -> list[str]:
     found = []
     for node in tree.body:
         if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-            remark = lines[int(node.end_lineno or node.lineno) - 1][int(node.end_col_offset or 0) :].partition("#")[2].strip()
+            remark = (
+                lines[int(node.end_lineno or node.lineno) - 1][int(node.end_col_offset or 0) :]
+                .partition("#")[2]
+                .strip()
+            )
             if remark and not node.target.id.startswith("_"):
                 found.append(f"    {node.target.id}: {remark[0].upper()}{remark[1:]}.")
     return ["", "Attributes:", *found] if found else []
@@ -63,9 +67,9 @@ def remarks(thing: type) -> list[str]:
 
 def process(app: Sphinx, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
     """Rewrite the lines of a docstring in place, before its sections are read."""
-    if what == "class" and (dataclasses.is_dataclass(thing) or hasattr(thing, "_fields")):
-        if "Attributes:" not in lines and "Args:" not in lines:
-            lines += remarks(thing)
+    has_fields = what == "class" and (dataclasses.is_dataclass(thing) or hasattr(thing, "_fields"))
+    if has_fields and "Attributes:" not in lines and "Args:" not in lines:
+        lines += remarks(thing)
     lines[:] = set_apart(lines)
 
 

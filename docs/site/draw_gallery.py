@@ -1,4 +1,4 @@
-"""Run the scripts of the gallery, and keep their pictures and what they print: python docs/site/draw_gallery.py [NAME ...]
+"""Run scripts of the gallery, keep their pictures and what they print: python docs/site/draw_gallery.py [NAME ...]
 
 Each runs in an empty folder of its own. The picture NAME.png and the text NAME.txt go beside the script, to be looked
 at and committed; the site shows them and runs nothing.
@@ -25,7 +25,13 @@ def run(script: Path, folder: Path, *, timeout: float = 600.0) -> str:
     """
     environment = {**os.environ, "MPLBACKEND": "Agg"}
     done = subprocess.run(
-        [sys.executable, str(script)], cwd=folder, capture_output=True, text=True, env=environment, timeout=timeout, check=False
+        [sys.executable, str(script)],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        env=environment,
+        timeout=timeout,
+        check=False,
     )
     if done.returncode != 0:
         raise RuntimeError(f"{script.name} failed:\n{done.stdout}\n{done.stderr}")

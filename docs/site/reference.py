@@ -38,7 +38,9 @@ class Names(Directive):
         names = [line.strip() for line in self.content if line.strip()]
         lines = [f".. currentmodule:: {module}", "", ".. autosummary::", "   :nosignatures:", ""]
         things = [getattr(import_module(module), name) for name in names]
-        documented = [n for n, thing in zip(names, things, strict=True) if inspect.isclass(thing) or inspect.isroutine(thing)]
+        documented = [
+            n for n, thing in zip(names, things, strict=True) if inspect.isclass(thing) or inspect.isroutine(thing)
+        ]
         lines += [f"   {name}" for name in documented] + [""]
         for name in names:
             lines += ["", *self._directive(module, name)]
@@ -88,7 +90,9 @@ class LinkedNames(SphinxPostTransform):
         name, entry = found.popitem()
         if entry.docname == self.env.docname and node.astext() == name:
             return
-        reference = make_refnode(self.app.builder, self.env.docname, entry.docname, entry.node_id, node.deepcopy(), name)
+        reference = make_refnode(
+            self.app.builder, self.env.docname, entry.docname, entry.node_id, node.deepcopy(), name
+        )
         node.replace_self(reference)
 
     def _meanings(self, package: str | None, name: str) -> dict[str, Any]:

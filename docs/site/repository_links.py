@@ -1,4 +1,4 @@
-"""Links from pages to files of the repository outside docs, as they are on GitHub: on the site they are paths in code."""
+"""Links from pages to files outside docs: links on GitHub, paths in code on the site."""
 
 import re
 from pathlib import Path

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
+from html import escape
 
 import torch
 from jaxtyping import Float, Int
 from numpy import ndarray
 from torch import Tensor
 
-from implicit.arguments import require_callable, require_positive, require_whole
+from implicit.arguments import counted, kind_of, require_callable, require_positive, require_whole
 from implicit.field.field import Field, require_field
 from implicit.step.problem import Row
 from implicit.step.rest_shape import Deformation
@@ -197,6 +198,34 @@ class Edit:
         gap = torch.where(arrived, gap, torch.full_like(gap, float("nan")))
         error[targeted] = gap.to(error) / largest.clamp(min=torch.finfo(error.dtype).tiny)
         return error
+
+    def __repr__(self) -> str:
+        """Return how it ended and how far the surface moved, in two lines."""
+        facts = dict(self._facts())
+        came_to = f"{facts['motion']}, {facts['points']}"
+        return f"Edit: {self.status.name} after {facts['steps']}: {self.status.value}\n  {came_to}"
+
+    def _repr_html_(self) -> str:
+        """Return a small table for notebooks."""
+        rows = "".join(f"<tr><th>{name}</th><td>{escape(text)}</td></tr>" for name, text in self._facts())
+        return f"<table><caption>Edit</caption>{rows}</table>"
+
+    def _facts(self) -> list[tuple[str, str]]:
+        """Return what a reader asks first of an edit: a name and a text for each row of the table."""
+        count, dimension = self.points.shape
+        lengths = self.displacement.norm(dim=1)
+        largest = float(lengths.max()) if count else 0.0
+        facts = [
+            ("status", f"{self.status.name}: {self.status.value}"),
+            ("steps", f"{counted(len(self.history), 'step')}, {self.seconds:.3g} s"),
+            ("motion", f"moved by {largest:.3g} at most"),
+            ("points", f"{counted(count, 'point')} in {dimension}D ({kind_of(self.points)})"),
+            ("theta", f"P = {len(self.field.theta):,}"),
+        ]
+        if self.before is not None and self.after is not None:
+            pieces = f"{self.before.pieces} before, {self.after.pieces} after"
+            facts.append(("pieces", pieces))
+        return [*facts, *(("note", note) for note in self.notes)]
 
 
 def edit_status(

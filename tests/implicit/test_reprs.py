@@ -1,5 +1,6 @@
 """Every object that a user meets prints as a few readable lines, never as a dump of numbers."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import pytest
@@ -99,6 +100,20 @@ def test_a_notebook_shows_a_field_as_a_table_in_which_nothing_is_markup_of_the_u
     evil = type("<script>", (torch.nn.Module,), {"forward": lambda self, x: x.norm(dim=1) * self.a})()
     evil.a = torch.nn.Parameter(torch.ones(()))
     assert "<script>" not in implicit.Field(evil)._repr_html_()
+
+
+def test_a_notebook_shows_an_edit_as_a_table_of_what_it_came_to():
+    bump = implicit.Handle(implicit.Ball((0.5, 0.0, 0.0), 0.1, falloff=0.3), implicit.Along(0.02))
+    edit = implicit.geometric_edit(BALL, bump, rest="free", steps=1, points=60, resolution=16)
+    edit = dataclasses.replace(edit, notes=("a <b> of the user's",))
+    html = edit._repr_html_()
+    assert f"{edit.status.name}: {edit.status.value}" in html
+    assert "60 points in 3D" in html
+    assert f"moved by {float(edit.displacement.norm(dim=1).max()):.3g} at most" in html
+    assert "1 before, 1 after" in html
+    assert "a &lt;b&gt; of the user&#x27;s" in html
+    assert len(repr(edit).splitlines()) == 2
+    assert "tensor(" not in repr(edit)
 
 
 def test_functionals_print_by_value_and_stay_equal_by_it():
