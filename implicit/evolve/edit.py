@@ -113,15 +113,6 @@ class Edit:
     notes: tuple[str, ...] = ()
     deformation: Deformation | None = None
 
-    def __repr__(self) -> str:
-        """Return how it ended and its main numbers in a line or two; all else is in its attributes."""
-        motion = float(self.displacement.norm(dim=1).nan_to_num().max()) if len(self.displacement) else 0.0
-        notes = "".join(f"\n  note: {note}" for note in self.notes)
-        return (
-            f"Edit({self.status.value!r} {len(self.history)} steps, {len(self.points)} points, largest motion "
-            f"{motion:.3g}, {self.seconds:.1f} s{notes})"
-        )
-
     def frames(
         self, V: Float[Tensor, "m d"] | Float[ndarray, "m d"], F: Int[ndarray, "k d"], *, units: str = "field"
     ) -> list[tuple[Float[ndarray, "m d"], Int[ndarray, "k d"]]]:
