@@ -82,6 +82,9 @@ LAST_STEPS = 6
 STRAIN_LEFT = 0.055
 FIRMNESS = (1.0, 1e2, 1e4)
 
+# The same ratio from which the ripples that are left are told of.
+RIPPLED = 0.3
+
 # Part of the points' surface inside another part of it that is told of.
 CROSSED = 2e-3
 
@@ -178,7 +181,7 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
     edit = replace(
         edit,
         status=edit_status(end.status, reached=reached),
-        notes=(*notes, *own, *end.notes),
+        notes=(*notes, *own, *_strain_notes(end.history[0]), *end.notes),
         deformation=Deformation(start.field, start.rest, minimum.positions),
     )
     return with_evidence(edit, problem.field, before, problem.resolution, end.soundness)
@@ -580,6 +583,17 @@ def _without_crossing_note(crossed: float) -> str:
         "which no field can show. With the volume held they do not, and so it was held: take constraints=[Volume()] to "
         "hold it to the field's own digits."
     )
+
+
+def _strain_notes(row: Row) -> list[str]:
+    """Return what to know of the strain between the field's surface and the points."""
+    part = row["strain_left"] / row["energy"] if row["energy"] > 0 else 0.0
+    if part <= RIPPLED:
+        return []
+    return [
+        f"The field's surface ripples about where the points are, a strain of {part:.2g} times the energy of the "
+        "points. A wider network follows better, and of shapes with planes and sharp edges one of softplus units."
+    ]
 
 
 def _following_notes(field: Field, following: Following) -> list[str]:
