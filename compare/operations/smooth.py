@@ -7,7 +7,8 @@
 Both follow dx/dt = (mean kappa - kappa) n for the same time, each in as many steps as it takes for their number not to
 matter, or in so many that are allowed; what their number still does is estimated on both sides. The conformalised flow,
 rescaled to its volume, is another equation: it stands beside under its own name. A case that names a flow of the mesh
-(its method, what keeps its volume, its cotangents) has that one, in its own steps.
+(its method, what keeps its volume, its cotangents) has that one, in its own steps. The field, whose steps are dear, is
+allowed no more than the case's steps, unless the case says most_steps, as those of `run` do.
 """
 
 from __future__ import annotations
@@ -86,7 +87,7 @@ class Smooth(Operation):
         time, found = steps * step_size, []
 
         def flow(field: implicit.Field, **options: Any) -> implicit.Edit:
-            options = current_names(implicit.smooth, options)
+            options = {"most_steps": steps, **current_names(implicit.smooth, options)}
             found.append(implicit.converged_smooth(field, time=time, steps=steps, **options))
             return found[-1].edit
 

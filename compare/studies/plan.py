@@ -37,7 +37,7 @@ CELLS = 64  # along a field's bounds, for these
 CELLS_TO_FIT = 128  # and for the mesh of a bundled shape, to which networks are fitted
 
 # What compare hands to the editors itself, beside what takes more than plain data.
-OURS = {"track", "progress", "seed", "constraints", "checkpoint", "units", "module", "start"}
+OURS = {"track", "progress", "seed", "constraints", "checkpoint", "units", "module", "start", "time"}
 
 FITS: tuple[Callable[..., Any], ...] = (fit_mesh, implicit.fit_field)  # what stands behind fit.NAME
 

@@ -1,8 +1,9 @@
 """One shape as a field of so many numbers, and as a mesh of so many: how far each is from it.
 
 A mesh moved as wanted has no error, by construction; which numbers are needed to say a shape at all can be asked of
-both sides. The shape is a fine mesh. On the one side are networks of several widths, fitted to it; on the other meshes
-of fewer vertices: decimated (vertices where the shape bends), and even triangles with their vertices on it.
+both sides. The shape is the surface of a field, taken as a fine mesh of it. On the one side are networks of several
+widths, fitted to it; on the other meshes of fewer vertices: decimated (vertices where the shape bends), and even
+triangles with their vertices on it.
 
 distance   rms over samples of both surfaces of the distance to the other, over the diagonal
 normals    rms angle between the normals at samples of the shape and those of the representation nearest, radians
@@ -14,6 +15,7 @@ Numbers stored are the parameters of a network, or three coordinates a vertex.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,8 +32,8 @@ from compare.studies.workbench import EXACT, Workbench
 WIDTHS = (8, 12, 16, 24, 32, 48, 64)
 VERTICES = (60, 120, 250, 500, 1000, 2000, 4000)
 FIT_STEPS = 4000
-TARGET_VERTICES = 16_000
-CELLS = 192  # of the mesh on which a field's surface is sampled
+TARGET_VERTICES = 16_000  # of the mesh that is decimated, and near which networks are fitted
+CELLS = 192  # of the meshes on which the surfaces of fields are sampled
 SAMPLES = 20_000
 
 
@@ -74,7 +76,7 @@ class Representation(Diagram):
                     (FIELD, "fitted networks", {"units wide": width}, partial(_fitted, bench, shape, width, cells))
                 )
             for side, method, at, make in ways:
-                measured = partial(_errors, bench, shape, (method, *at.values()), make, samples)
+                measured = partial(_errors, bench, shape, (method, *at.values()), make, (cells, samples))
                 for panel in self.panels:
                     name = Path(shape).stem
                     key = "/".join((panel, shape, method, *map(str, at.values())))
@@ -90,7 +92,7 @@ Found = tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"], int, float | None]
 def _decimated(bench: Workbench, shape: str, vertices: int) -> Found:
     import meshref
 
-    V, F = meshref.decimate(*_target(bench, shape), faces=2 * vertices)
+    V, F = meshref.decimate(*bench.mesh(shape, bench.target_vertices), faces=2 * vertices)
     return V, F, V.size, None
 
 
@@ -108,45 +110,69 @@ def _fitted(bench: Workbench, shape: str, width: int, cells: int) -> Found:
     return V, F, field.theta.numel(), volume
 
 
-def _target(bench: Workbench, shape: str) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"]]:
-    return bench.mesh(shape, bench.target_vertices)
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A shape as a mesh of its field, and how well that says it."""
+
+    V: Float[ndarray, "n 3"]
+    F: Int[ndarray, "m 3"]
+    volume: float  # by quadrature
+    floors: Mapping[str, float]  # error of each panel that the mesh itself has
+
+    @property
+    def diagonal(self) -> float:
+        """Diagonal of its box."""
+        return float(np.linalg.norm(np.ptp(self.V, axis=0)))
 
 
-def _of_panel(measured: Callable[[], Mapping[str, Any]], panel: str) -> dict[str, Any]:
-    found = measured()
-    return {"error": found[panel], "numbers": found["numbers"], "floor": found["floor"] if panel == "volume" else 0.0}
+def _target(bench: Workbench, shape: str, cells: int) -> Target:
+    """Return the shape itself; its triangles are off by what their middles and their normals are."""
+    import torch
+
+    import implicit
+    import meshref
+
+    def make() -> Target:
+        field = bench.field(shape)
+        V, F = implicit.extract_mesh(field, cells)
+        volume = implicit.integrate(field, implicit.Volume(), max(32, cells // 2))
+        value, gradient = field.value_and_gradient(torch.from_numpy(V[F].mean(axis=1)))
+        length = gradient.norm(dim=1)
+        cosine = ((gradient / length[:, None]).numpy() * meshref.face_normals(V, F)).sum(axis=1)
+        off = float((value / length).square().mean().sqrt()) / float(np.linalg.norm(np.ptp(V, axis=0)))
+        angle = float(np.sqrt(np.mean(np.arccos(cosine.clip(-1, 1)) ** 2)))
+        floors = {"distance": off, "normals": angle, "volume": volume.error / abs(volume.value)}
+        return Target(V, F, volume.value, floors)
+
+    return bench.kept(("target", shape), make)
+
+
+def _of_panel(measured: Callable[[], tuple[Mapping[str, Any], Mapping[str, float]]], panel: str) -> dict[str, Any]:
+    found, floors = measured()
+    return {"error": found[panel], "numbers": found["numbers"], "floor": floors[panel]}
 
 
 def _errors(
-    bench: Workbench, shape: str, name: tuple[Any, ...], make: Callable[[], Found], samples: int
-) -> Mapping[str, Any]:
-    """Return all errors of a representation, computed once."""
+    bench: Workbench, shape: str, name: tuple[Any, ...], make: Callable[[], Found], fineness: tuple[int, int]
+) -> tuple[Mapping[str, Any], Mapping[str, float]]:
+    """Return all errors of a representation, computed once, and those of the shape that it is held against."""
+    cells, samples = fineness
+    wanted = _target(bench, shape, cells)
 
     def measure() -> dict[str, Any]:
         import meshref
 
         V, F, numbers, volume = make()
-        wanted, faces = _target(bench, shape)
-        there, back = (meshref.sample_mesh(*mesh, samples) for mesh in ((wanted, faces), (V, F)))
-        nearest = meshref.SignedDistanceQuery(V, F).distance(there.points)
-        distances = [nearest[0], meshref.SignedDistanceQuery(wanted, faces).distance(back.points)[0]]
-        cosine = (there.normals * meshref.face_normals(V, F)[nearest[1]]).sum(axis=1).clip(-1, 1)
-        truth = _volume(bench, shape)
+        there, back = (meshref.sample_mesh(*mesh, samples) for mesh in ((wanted.V, wanted.F), (V, F)))
+        distance, face = meshref.SignedDistanceQuery(V, F).distance(there.points)
+        other = meshref.SignedDistanceQuery(wanted.V, wanted.F).distance(back.points)[0]
+        cosine = (there.normals * meshref.face_normals(V, F)[face]).sum(axis=1).clip(-1, 1)
         enclosed = meshref.volume(V, F) if volume is None else volume
-        diagonal = float(np.linalg.norm(np.ptp(wanted, axis=0)))
         return {
-            "distance": float(np.sqrt(np.mean([np.mean(d**2) for d in distances]))) / diagonal,
+            "distance": float(np.sqrt((np.mean(distance**2) + np.mean(other**2)) / 2)) / wanted.diagonal,
             "normals": float(np.sqrt(np.mean(np.arccos(cosine) ** 2))),
-            "volume": abs(enclosed / truth - 1),
+            "volume": abs(enclosed / wanted.volume - 1),
             "numbers": numbers,
-            "floor": 1e-6,  # of the field's quadrature at a grid this fine
         }
 
-    return bench.kept(("errors", shape, *name), measure)
-
-
-def _volume(bench: Workbench, shape: str) -> float:
-    import implicit
-
-    field = bench.field(shape)
-    return bench.kept(("volume", shape), lambda: implicit.Volume().value(field, implicit.surface_quadrature(field, 96)))
+    return bench.kept(("errors", shape, *name), measure), wanted.floors

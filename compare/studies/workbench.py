@@ -31,6 +31,12 @@ SPHERE_RADIUS = 0.6
 TARGET_VERTICES = 16_000
 RESOLUTION = 128
 
+# Points nearer to a mesh than this are moved to the surface along the field's own gradient.
+NEAR = 0.004
+
+# Steps along the surface by which the nearest point is bettered.
+SLIDES = 3
+
 
 class Workbench:
     """Shapes, meshes and networks that the points of one diagram share.
@@ -104,30 +110,23 @@ class Workbench:
 
     def _network(self, shape: str, width: int) -> Field:
         def make() -> Field:
-            return self._fitted(*self.mesh(shape, self.target_vertices), width)
+            return self._fitted(self.field(shape), *self.mesh(shape, self.target_vertices), width)
 
         return self._in_file(f"{Path(shape).stem}-{width}", make)
 
-    def _fitted(self, V: Float[ndarray, "n 3"], F: Int[ndarray, "m 3"], width: int) -> Field:
-        """Fit as compare.fit_mesh does, but leave the mesh where it is, in [-1, 1]^3, and measure nothing."""
+    def _fitted(self, field: Field, V: Float[ndarray, "n 3"], F: Int[ndarray, "m 3"], width: int) -> Field:
+        """Fit as compare.fit_mesh does, but to the surface of a field, which is in [-1, 1]^3 and stays where it is."""
         import torch
 
-        import meshref
         from compare.fitting.fit import sample_space
         from implicit.fitting.fit import fit_field
 
         if np.abs(V).max() > 1:
             raise ValueError("A network is fitted in [-1, 1]^3, but the shape leaves it. Scale it.")
         points = sample_space(V, F, 0)
-        answer = meshref.SignedDistanceQuery(V, F)(points)
-        tensors = [torch.from_numpy(array) for array in (points, answer.distance, answer.normal)]
-        options: dict[str, Any] = {
-            "width": width,
-            "steps": self._fit_steps,
-            "batch": self._batch,
-            "progress": self._tell,
-        }
-        return fit_field(tensors[0], tensors[1], tensors[2], **options)[0]
+        tensors = [torch.from_numpy(array) for array in exact_distances(field, V, F, points)]
+        options: dict[str, Any] = {"width": width, "steps": self._fit_steps, "batch": self._batch}
+        return fit_field(torch.from_numpy(points), *tensors, **options, progress=self._tell)[0]
 
     def _in_file(self, name: str, make: Callable[[], Field]) -> Field:
         import torch
@@ -145,3 +144,37 @@ class Workbench:
     def _tell(self, step: int, steps: int, _: Any) -> None:
         if self._progress is not None:
             self._progress(step, steps, "fitting a network")
+
+
+def exact_distances(
+    field: Field, V: Float[ndarray, "n 3"], F: Int[ndarray, "m 3"], points: Float[ndarray, "k 3"]
+) -> tuple[Float[ndarray, " k"], Float[ndarray, "k 3"]]:
+    """Return signed distances of points to the surface of a field, and the normals there.
+
+    The nearest points of a mesh are moved to the surface and along it; what lies as near to it as the mesh's flat
+    triangles do is moved there itself. A fit to the triangles would have their volume: of 16,000 vertices 4e-4 too
+    little. Far off, where it decides nothing, the distance is that of the mesh to a part of its edges' sagitta.
+
+    Args:
+        field: The field, which need not be a distance.
+        V, F: A mesh with its vertices on the surface.
+        points: Anywhere.
+    """
+    import torch
+
+    import implicit
+    import meshref
+
+    answer = meshref.SignedDistanceQuery(V, F)(points)
+    P = torch.from_numpy(points)
+    near = torch.from_numpy(np.abs(answer.distance) < NEAR)
+    closest = implicit.project_to_surface(field, torch.where(near[:, None], P, torch.from_numpy(answer.closest)))
+    for _ in range(SLIDES):  # to where the surface is square to the way to the point, as far as that is nearer
+        normal, way = field.normal(closest), P - closest
+        slid = closest + way - (way * normal).sum(dim=1, keepdim=True) * normal
+        reach = 0.2 * way.norm(dim=1, keepdim=True) / (slid - closest).norm(dim=1, keepdim=True).clamp(min=1e-300)
+        other = implicit.project_to_surface(field, closest + reach.clamp(max=1) * (slid - closest))
+        nearer = (P - other).norm(dim=1) < way.norm(dim=1)
+        closest = torch.where(nearer[:, None], other, closest)
+    distance = (P - closest).norm(dim=1)
+    return torch.where(field.value(P) < 0, -distance, distance).numpy(), field.normal(closest).numpy()

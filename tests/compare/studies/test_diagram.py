@@ -3,6 +3,7 @@
 import json
 import math
 
+import numpy as np
 import pytest
 
 from compare.commands import exits
@@ -162,3 +163,22 @@ def test_the_quick_diagram_measures_every_point(name, tmp_path):
     panels = {row.panel for row in rows}
     assert panels == set(DIAGRAMS[name].panels)
     assert len(sentences(DIAGRAMS[name], rows)) == len(panels) * len(DIAGRAMS[name].costs)
+
+
+def test_networks_are_fitted_to_exact_distances(tmp_path):
+    """Of the torus they have a closed form; a mesh alone would be off by its chords, many times more."""
+    import meshref
+    from compare.studies.workbench import Workbench, exact_distances
+
+    bench = Workbench(tmp_path, fit_steps=1, resolution=32)
+    V, F = bench.mesh("torus", 1500)
+    points = np.random.default_rng(0).uniform(-0.9, 0.9, (2000, 3))
+    points[:500] = meshref.sample_mesh(V, F, 500).points
+    x, y, z = points.T
+    truth = np.hypot(np.hypot(x, y) - 0.55, z) - 0.25
+    near = np.abs(truth) < 0.1
+    distance, normal = exact_distances(bench.field("torus"), V, F, points)
+    chords = np.abs(meshref.SignedDistanceQuery(V, F)(points).distance - truth)[near]
+    assert near.sum() > 600
+    assert np.abs(distance - truth)[near].max() < 0.02 * chords.max()
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1)
