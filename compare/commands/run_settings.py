@@ -1,4 +1,4 @@
-"""Settings a run folder was made with, so that a finished run is known without loading anything.
+"""The make of a run folder, kept so that a finished run is known without loading anything.
 
 run.json   the settings of the command, hashes of what its files held, and the keys of its cases
 """

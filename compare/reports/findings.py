@@ -189,7 +189,13 @@ def _signed(value: float) -> str:
 
 
 def _times(ratio: float) -> str:
-    return "the same as that" if abs(ratio - 1) < SAME else f"{ratio:.2f} times that"
+    return (
+        "the same as that"
+        if abs(ratio - 1) < SAME
+        else f"{ratio:.2f} times that"
+        if ratio < 10
+        else f"{ratio:.3g} times that"
+    )
 
 
 def _sentence(*parts: str) -> str:

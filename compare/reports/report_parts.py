@@ -72,7 +72,7 @@ def charted_of(folder: Path) -> str:
     if not (folder / "study.json").is_file():
         return ""
     found: dict[str, Path] = {}
-    for path in sorted([*folder.glob("*.svg"), *folder.glob("*.png")]):
+    for path in [*sorted(folder.glob("*.svg")), *sorted(folder.glob("*.png"))]:  # the sharper first
         if path.stat().st_size < 1_000_000:
             found.setdefault(path.stem, path)
     kinds = {".png": "image/png", ".svg": "image/svg+xml"}

@@ -376,6 +376,21 @@ def test_cases_of_one_shape_and_edit_are_told_apart_by_what_differs(small_run, t
     assert "<button>setting</button>" not in (small_run.folder / "report.html").read_text(encoding="utf-8")
 
 
+def test_a_study_has_its_title_and_its_charts_on_top(small_run, tmp_path):
+    (tmp_path / "study.json").write_text('{"study": {"name": "points", "title": "How many <points>?"}}')
+    (tmp_path / "chart.png").write_bytes(b"\x89PNG of the chart")
+    (tmp_path / "work-precision.svg").write_text("<svg/>")
+    (tmp_path / "work-precision.png").write_bytes(b"the same again")
+    bare = [dataclasses.replace(record, artefacts={}) for record in small_run.records]
+    page = report(bare, tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "<h1>How many &lt;points&gt;?</h1>" in page
+    shown = re.findall(r'src="data:([^;]+);base64,([^"]+)"', page)
+    assert [kind for kind, _ in shown] == ["image/png", "image/svg+xml"]
+    assert base64.b64decode(shown[0][1]) == b"\x89PNG of the chart"
+    assert page.index(shown[1][1]) < page.index('id="findings"')
+    assert "<h1>Another</h1>" in report(bare, tmp_path / "a.html", title="Another").read_text(encoding="utf-8")
+
+
 def test_rows_of_before_there_were_curves_are_still_shown(small_run, tmp_path):
     old = small_run.records[0]
     later = ("curve", "seconds_by_phase", "peak_memory")
