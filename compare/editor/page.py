@@ -315,6 +315,7 @@ class EditorPage:
             self._idle_controls()
             self._beside = None
             self._refresh()
+        c.factor.value = 1.0
         self._say_entry(entry)
         self.worker.when_idle(self._judge)
         if c.beside.value != NOTHING_BESIDE:
