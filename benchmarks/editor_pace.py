@@ -56,7 +56,7 @@ def paced(shape, frames, browser):
         page.goto(editor.address)
         while not editor.server.get_clients():
             page.wait_for_timeout(100)
-        page.wait_for_timeout(2000)
+        page.wait_for_timeout(4000)
         camera = next(iter(editor.server.get_clients().values())).camera
         place = facing(session.surface, camera)
         x, y = on_screen(camera, place)

@@ -58,7 +58,7 @@ def filmed(editor, page):
     """Return the film of one drag."""
     page.goto(editor.address)
     until(page, editor.server.get_clients)
-    page.wait_for_timeout(2500)
+    page.wait_for_timeout(4000)
     page.locator("text=Software WebGL rendering detected").locator("xpath=ancestor::*[.//button][1]").locator(
         "button"
     ).first.click()

@@ -42,7 +42,7 @@ PARTS = 3
 DENSE_ENTRIES = 40_000_000
 
 # Share of the motion, root mean square, by which the true surface may miss the model, and the points that tell.
-MOST_ERROR = 0.2
+MOST_ERROR = 0.3
 PROBES = 160
 LEAST_FRACTION = 0.02
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from compare.cases.handles import HandleSpec
 from compare.editor.regions import Picked, held
 
-# Of a motion as a column of numbers: the matrix A - 1, the translation, and the distance along the normal.
+# Of a motion as a column of numbers: a matrix, the translation, and the distance along the normal.
 COLUMNS = 13
 
 Triple = tuple[float, float, float]
@@ -71,8 +71,13 @@ class Motion:
         return self.factor * Rotation.from_rotvec(self.rotation).as_matrix()
 
     def column(self) -> Float[ndarray, " c"]:
-        """Return the motion as COLUMNS numbers, in which the displacement of every point is linear."""
-        return np.concatenate([(self.matrix - np.eye(3)).ravel(), self.translation, [self.along]])
+        """Return the motion as COLUMNS numbers, in which the displacement of every point is linear.
+
+        Of a rotation these are its velocity: its chord has a part along the normal even of a ball that turns on itself.
+        """
+        x, y, z = self.rotation
+        velocity = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) + (self.factor - 1) * np.eye(3)
+        return np.concatenate([velocity.ravel(), self.translation, [self.along]])
 
     def spec(self, picked: Picked) -> HandleSpec:
         """Return the handle that this motion makes of a region."""

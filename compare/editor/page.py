@@ -315,6 +315,7 @@ class EditorPage:
             self._idle_controls()
             self._beside = None
             self._refresh()
+        c.factor.value = 1.0
         self._say_entry(entry)
         self.worker.when_idle(self._judge)
         if c.beside.value != NOTHING_BESIDE:
@@ -385,7 +386,7 @@ class EditorPage:
         self.server.scene.configure_default_lights(cast_shadow=False)  # which would be drawn anew in every frame
         V = self.session.surface.V
         middle, size = (V.min(axis=0) + V.max(axis=0)) / 2, float(np.linalg.norm(V.max(axis=0) - V.min(axis=0)))
-        self.server.initial_camera.position = tuple(middle + size * np.array([-0.6, 0.35, -0.8]))
+        self.server.initial_camera.position = tuple(middle + size * np.array([-0.46, 0.27, -0.62]))
         self.server.initial_camera.look_at = tuple(middle)
 
     def _add_shape(self) -> viser.MeshHandle:

@@ -407,7 +407,7 @@ class EditSession:
             digest(edit.field),
         )
         self._take(entry, before, after, evidence)
-        return entry
+        return self.entries[-1]
 
     def call_off(self) -> None:
         """Call off the edit that another thread is at, before its next step."""
@@ -511,10 +511,14 @@ class EditSession:
         self.position += 1
         self._measured = after
         self._last = (self.position, before, evidence)
-        if self._folder is not None:
-            self._folder.write_field(self.position, after.field, self.source)
-            self._folder.write_handles(entry)
-        self._save()
+        try:
+            if self._folder is not None:
+                self._folder.write_field(self.position, after.field, self.source)
+                self._folder.write_handles(entry)
+            self._save()
+        except OSError as error:  # a full disk, say: the edit stands all the same
+            kept = f"The edit is not on disk, and would be lost with this process: {error}"
+            self.entries[-1] = replace(entry, notes=(*entry.notes, kept))
 
     def _stand_at(self, position: int, *, save: bool = True) -> None:
         # To measure it first leaves all as it is where it cannot be.

@@ -71,6 +71,7 @@ class Hand:
         self.page.on("websocket", lambda socket: self.asked.append(socket.url))
         self.page.goto(editor.address)
         self.until(lambda: editor.server.get_clients())
+        self.until(lambda: self.camera.image_width < 800)  # the controls have taken their place at the side
         self.page.wait_for_timeout(1500)
 
     @property

@@ -3,6 +3,7 @@
 import json
 import math
 import runpy
+import shutil
 
 import numpy as np
 import pytest
@@ -52,7 +53,7 @@ def test_a_sphere_scaled_about_its_centre_takes_the_factor_for_its_radius(sphere
 def test_the_preview_is_the_linear_model_of_the_rows(bulb):
     """Against the primal normal equations in the parameters, three parts as in implicit.expressibility."""
     bulb.pick(TIP)
-    motion = Motion(translation=(0.01, 0.0, 0.005), rotation=(0.0, 0.02, 0.0), factor=1.05)
+    motion = Motion(translation=(0.01, 0.0, 0.005), factor=1.05)
     model = bulb.prepare()
     points, normals, weights = model.sample.points, model.sample.normals, model.sample.weights
     handle = motion.spec(bulb.regions[0]).build()
@@ -67,6 +68,18 @@ def test_the_preview_is_the_linear_model_of_the_rows(bulb):
     rows = implicit.basis(bulb.field, torch.from_numpy(bulb.surface.V))
     np.testing.assert_allclose(model.speed(motion), (rows @ x).numpy(), rtol=1e-4, atol=1e-9)
     np.testing.assert_allclose(model.change(motion), x, rtol=1e-4, atol=1e-9)
+
+
+def test_a_field_of_too_many_parameters_for_its_rows_has_the_same_preview(sphere, monkeypatch):
+    """A sphere turned about its centre is the same, and dragged goes by n . t: both ways of solving must find it."""
+    sphere.pick(EVERYTHING, grip=(0.0, 0.0, 0.0))
+    motion = Motion(translation=(0.02, 0.01, -0.03), rotation=(0.1, 0.0, 0.0))
+    with_rows = sphere.prepare().speed(motion)
+    monkeypatch.setattr(linear, "DENSE_ENTRIES", 0)
+    monkeypatch.setattr(sphere, "_models", {})
+    without = sphere.prepare().speed(motion)
+    np.testing.assert_allclose(without, with_rows, atol=1e-5)
+    np.testing.assert_allclose(without, sphere.surface.N @ motion.translation, atol=1e-3)
 
 
 def test_a_model_that_holds_the_volume_moves_it_to_second_order_only(bulb):
@@ -186,6 +199,14 @@ def test_after_each_edit_the_session_is_on_disk(bulb, shape_file):
         EditSession.load(bulb.folder)
 
 
+def test_an_edit_that_cannot_be_kept_on_disk_stands_and_says_so(bulb):
+    shutil.rmtree(bulb.folder)
+    bulb.folder.write_text("a file in its place")
+    entry = moved(bulb)
+    assert bulb.history == (entry,)
+    assert any("is not on disk" in note for note in entry.notes)
+
+
 def test_a_replay_and_the_script_give_the_same_field(bulb, tmp_path, monkeypatch):
     moved(bulb)
     bulb.drag(Motion(along=-0.01))
@@ -216,7 +237,22 @@ def test_a_case_misses_what_the_edit_missed(bulb):
     evidence = bulb.evidence()
     missed = np.sqrt(np.average(evidence.error**2, weights=evidence.before.areas))
     record = run_case(case_of(bulb, 1, vertices=1000))
-    assert record.sides["implicit"].error_relative == pytest.approx(missed, rel=0.3)
+    assert record.sides["implicit"].error_relative == pytest.approx(missed, abs=0.05)  # of points drawn otherwise
+
+
+@pytest.mark.nightly
+def test_handles_of_an_edit_run_unchanged_under_run_and_in_a_study(command, bulb, shape_file, tmp_path):
+    moved(bulb)
+    export_handles(bulb, 1, tmp_path / "own.toml")
+    options = ["--operations", "geometric", "--quick", "-o", "run"]
+    assert command("run", shape_file, "--handles", "own.toml", *options, cwd=tmp_path).returncode == 0
+    _, _, rows = (bulb.folder / "handles" / "001.toml").read_text().partition("\n")
+    (tmp_path / "study.toml").write_text(
+        f'title = "One"\nshapes = ["{shape_file}"]\noperations = ["geometric"]\n'
+        "[settings]\nvertices = 400\nresolution = 32\n[grid]\nimplicit.points = [100, 200]\n"
+        f'[[charts]]\nx = "implicit.points"\ny = "error_relative"\n{rows}'
+    )
+    assert command("study", "study.toml", "-o", "study", "--no-meshes", cwd=tmp_path).returncode == 0
 
 
 def test_a_held_volume_is_held_and_a_held_area_too(bulb):
