@@ -5,11 +5,12 @@ A cactus bent forward by 60 degrees as a neural field, by finite rotations, besi
 
 import math
 
+import numpy as np
+import torch
+
 import compare
 import implicit
 import meshref
-import numpy as np
-import torch
 from implicit import HalfSpace, Handle, RigidMotion, shapes
 
 field = shapes.bundled("cactus")
