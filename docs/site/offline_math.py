@@ -1,4 +1,4 @@
-"""Formulas as MathML, which browsers draw by themselves: no script is fetched, so that the pages can be read offline."""
+"""Formulas as MathML, which browsers draw by themselves: no script is fetched, and pages can be read offline."""
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
