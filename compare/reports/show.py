@@ -85,7 +85,7 @@ def show(
     light = {"ambient": 0.6, "diffuse": 0.55, "specular": 0.08, "roughness": 0.9}
     for column, panel in enumerate(panels, start=1):
         V, F = panel.view.V.astype(np.float32), panel.view.F.astype(np.int32)
-        hints = {"hoverinfo": "skip"}
+        hints: dict[str, Any] = {"hoverinfo": "skip"}
         if panel.label is not None:
             hints = {"text": [f"{value:.3g}" for value in panel.view.values], "hoverinfo": "text"}
         trace = Mesh3d(

@@ -18,8 +18,8 @@ from compare.reports.views import Camera, View
 from implicit import Ball, HalfSpace, Handle, shapes
 
 TARGET = Path(__file__).resolve().parent.parent / "drag.gif"
-STEPS, POINTS = 10, 1500
-DRAG = np.array([0.0, 0.22, 0.18])
+STEPS, POINTS = 8, 1000
+DRAG = np.array([0.0, 0.2, -0.22])
 CAMERA = Camera(60.0, 12.0)
 FRAME = (-1.05, 1.0), (-0.86, 1.12)
 
@@ -28,10 +28,9 @@ def main() -> None:
     """Edit, paint each step, and write the frames there and back."""
     field = shapes.bundled("spot")
     V, F = implicit.extract_mesh(field, 72)
-    head = V[V[:, 2] > np.quantile(V[:, 2], 0.5)]
-    top = head[head[:, 1].argmax()]
+    top = V[V[:, 1] > 0.4 * V[:, 1].max()].mean(axis=0)  # the middle of the head
     feet = HalfSpace((0.0, float(V[:, 1].min()) + 0.2, 0.0), (0, -1, 0))
-    grasped = Ball(tuple(top), 0.22)
+    grasped = Ball(tuple(top), 0.42)
     handles = [Handle(feet, (0.0, 0.0, 0.0)), Handle(grasped, tuple(DRAG))]
     track = torch.from_numpy(V)
     edit = implicit.rigid_edit(field, handles, method="linear", steps=STEPS, points=POINTS, track=track)

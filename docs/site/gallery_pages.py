@@ -2,22 +2,12 @@
 
 A script begins with a docstring, its title and a few sentences. Lines "# %%" part it into cells, and the comment that
 begins a cell is prose. NAME.png and NAME.txt beside it are what draw_gallery.py has kept of a run.
-
-    ```{gallery}
-    bump
-    twist
-    ```
-
-gives a picture each that leads to the pages.
 """
 
 import ast
 from pathlib import Path
 from typing import Any
 
-from docutils import nodes
-from docutils.parsers.rst import Directive
-from docutils.statemachine import StringList
 from sphinx.application import Sphinx
 
 FOLDER = "gallery/"
@@ -67,25 +57,7 @@ def read(app: Sphinx, docname: str, content: list[str]) -> None:
         content[0] = page_of(path.stem, content[0], text, path.with_suffix(".png").is_file())
 
 
-class Gallery(Directive):
-    """Pictures that lead to the pages of scripts."""
-
-    has_content = True
-
-    def run(self) -> list[nodes.Node]:
-        """Write a link around each picture, and the title below it."""
-        folder = Path(str(self.state.document.current_source)).parent
-        lines = []
-        for name in (line.strip() for line in self.content):
-            title = title_of((folder / f"{name}.py").read_text(encoding="utf-8"))
-            lines += [f"[![{title}]({name}.png)]({name}.py) [{title}]({name}.py)", ""]
-        box = nodes.container(classes=["thumbnails"])
-        self.state.nested_parse(StringList(lines, str(folder)), self.content_offset, box)
-        return [box]
-
-
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register."""
     app.connect("source-read", read)
-    app.add_directive("gallery", Gallery)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
