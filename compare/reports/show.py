@@ -69,9 +69,15 @@ def show(
     Raises:
         TypeError: Something cannot be drawn.
         ValueError: There is nothing to draw, or a field has no surface or is in the plane.
+        ImportError: plotly, of the extra "notebook", is not installed.
     """
-    from plotly.graph_objects import Mesh3d, Scatter3d
-    from plotly.subplots import make_subplots
+    try:
+        from plotly.graph_objects import Mesh3d, Scatter3d
+        from plotly.subplots import make_subplots
+    except ModuleNotFoundError as error:
+        raise ImportError(
+            'show draws by plotly, which is not installed: pip install ".[notebook]". draw writes a picture without it.'
+        ) from error
 
     panels = panels_of(things, before=before, titles=titles, colours=colours, resolution=resolution)
     limit = limit_of(panels)
