@@ -23,7 +23,7 @@ from compare.reports.findings import finding, range_of
 from compare.reports.table import FILE as TABLE_FILE
 from compare.reports.views import drawn_sides, motion_of
 from compare.reports.words import handle_in_words, length
-from compare.runs.columns import SIDE_COLOURS, SIDES, columns, duration, number, text
+from compare.runs.columns import SIDE_COLOURS, SIDES, column_of, columns, duration, number, text
 from compare.runs.records import FILE, Record
 
 CHARTS = {
@@ -34,6 +34,8 @@ CHARTS = {
 HELD = 0.01  # per cent within which a drift is a level line in a chart
 
 HEADS = {"seconds": "time", "peak_memory": "memory"}  # where a unit stands below the title
+# Numbers and their estimated errors, which stand below them in small.
+ESTIMATES = {"volume_drift": "volume_error", "area_drift": "area_error"}
 OTHER_COLOUR = "#777777"
 HINT = "Drag to turn, Shift and drag to shift, Ctrl and wheel to zoom; all pictures of a case follow."
 WITH_PICTURES = 24  # findings shown at once; the rest one click away
@@ -143,7 +145,12 @@ def tables_of(records: Sequence[Record], settings: Sequence[str]) -> str:
 
 
 def _table(kind: str, rows: Sequence[tuple[int, Record, str]]) -> str:
-    shown = [c for c in columns() if any(number(row, c) is not None for _, r, _ in rows for row in r.sides.values())]
+    shown = [
+        c
+        for c in columns()
+        if c.name not in ESTIMATES.values()
+        and any(number(row, c) is not None for _, r, _ in rows for row in r.sides.values())
+    ]
     with_settings = any(setting for _, _, setting in rows)
     words = ["shape", *(["setting"] if with_settings else []), "by"]
     head = "".join(f"<th><button>{word}</button></th>" for word in words)
@@ -175,11 +182,19 @@ def _row(one: tuple[int, Record, str], shown: Sequence[Column], with_settings: b
     words.append(f'<td title="{title}">{_swatch(side)}{escape(SIDES.get(side, side))}</td>')
     cells = "".join(
         f'<td class="number" data-value="{"" if value is None else repr(float(value))}"'
-        f'{"" if value is None else f""" title="{value:.6g}" """}>{escape(_in_column(value, c))}</td>'
+        f'{"" if value is None else f""" title="{value:.6g}" """}>'
+        f"{escape(_in_column(value, c))}{_known_to(row, c)}</td>"
         for c in shown
         for value in [number(row, c)]
     )
     return f"<tr{' class=new' if first else ''}>{link}{''.join(words)}{cells}</tr>"
+
+
+def _known_to(row: Mapping[str, Any], column: Column) -> str:
+    """Return the estimated error of a number, in small below it; nothing where there is none."""
+    estimate = column_of(ESTIMATES.get(column.name, ""))
+    error = None if estimate is None else number(row, estimate)
+    return "" if error is None or estimate is None else f"<small>±{escape(_in_column(error, estimate))}</small>"
 
 
 def _head(column: Column) -> str:
