@@ -36,6 +36,7 @@ def run(task):
     return names
 
 
+@pytest.mark.nightly
 def test_a_siren_checkpoint_is_dragged():
     """The bundled network of spot, by the notebook's names."""
     state = shapes.bundled("spot").module.state_dict()

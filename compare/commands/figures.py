@@ -24,7 +24,7 @@ class Figures:
     formats: tuple[Literal["png", "pdf", "svg", "glb"], ...] = ("png", "pdf")
     """Which kinds; glb is the result of each method in 3D, with the colours of its error."""
     azimuth: float | None = None
-    """Degrees about the y axis, from where to look; by default where most of what moves is seen."""
+    """Degrees about the axis that is up, from where to look; by default where most of what moves is seen."""
     painter: Literal["auto", "pyvista", "matplotlib"] = "auto"
     """What paints: pyvista draws smoother, but needs the extra `figures` and OpenGL; auto takes it where it can."""
 
@@ -32,11 +32,12 @@ class Figures:
 def figures(command: Figures) -> int:
     """Paint the pictures from the rows and meshes that are there."""
     from compare.reports.figures import draw_figures, usable_painter, write_models
-    from compare.reports.views import Camera
+    from compare.reports.views import Camera, up_of
 
-    camera = None if command.azimuth is None else Camera(command.azimuth)
     try:
         records = latest(command.folder)
+        up = up_of(records[0].case.shape) if records else "y"
+        camera = None if command.azimuth is None else Camera(command.azimuth, up=up)
         painter, reason = usable_painter(command.painter)
         written = draw_figures(
             records,

@@ -143,7 +143,8 @@ def rigid_edit(
         constraints: Functionals to hold, such as Volume().
         resolution: Cells a side of the quadrature that measures the constraints and counts the pieces of the surface.
         track: Further surface points (M, D) to carry along.
-        progress: Called after each step.
+        progress: Called as progress(step, steps, row) after each step: its number from 1, how many there are, and its
+            record.
         seed: Seed of the random points and features.
         rest: The edit by finite rotations that the field came from. The shape at rest stays the one before it, however
             many such edits follow each other, so that what is dragged back is as it was. None takes the field as it is

@@ -54,7 +54,9 @@ def test_frames_of_an_edit_are_the_mesh_given_and_it_after_each_step():
     """A sphere that flows by its mean curvature stays one, and shrinks."""
     field = implicit.shapes.sphere(0.5)
     start, faces = implicit.extract_mesh(field, 16)
-    edit = implicit.smooth(field, steps=2, step_size=1e-3, points=60, track=torch.from_numpy(start).to(field.theta))
+    edit = implicit.smooth(
+        field, steps=2, step_size=1e-3, points=60, resolution=16, track=torch.from_numpy(start).to(field.theta)
+    )
     frames = edit.frames(start, faces)
     assert len(frames) == 3
     radii = [np.linalg.norm(points, axis=1) for points, _ in frames]
@@ -62,11 +64,13 @@ def test_frames_of_an_edit_are_the_mesh_given_and_it_after_each_step():
     assert max(np.ptp(radius) for radius in radii[1:]) < 1e-3
     assert all(found is faces for _, found in frames)
     scaled = implicit.Field(field.module, bounds=((-1,) * 3, (1,) * 3), units=implicit.Units(10.0, (1.0, 0.0, 0.0)))
-    in_user = implicit.smooth(scaled, steps=2, step_size=1e-3, points=60, track=torch.from_numpy(start).to(field.theta))
+    in_user = implicit.smooth(
+        scaled, steps=2, step_size=1e-3, points=60, resolution=16, track=torch.from_numpy(start).to(field.theta)
+    )
     (first, _), *_ = in_user.frames(start, faces, units="user")
     np.testing.assert_allclose(first, 10 * start + [1.0, 0.0, 0.0], atol=1e-5)
     with pytest.raises(ValueError, match="carried no points along"):
-        implicit.smooth(field, steps=1, step_size=1e-3, points=60).frames(start, faces)
+        implicit.smooth(field, steps=1, step_size=1e-3, points=60, resolution=16).frames(start, faces)
     with pytest.raises(ValueError, match="must be the points that were given as track"):
         edit.frames(start[:5], faces)
     assert len(repr(edit)) < 300
