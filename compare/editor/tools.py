@@ -60,7 +60,7 @@ class Settings:
     hold: tuple[str, ...] = ()
     pull: float = 1e-4
     time: float = 1.0
-    resolution: int = 16
+    resolution: int = 12
     seed: int = 0
 
     def __post_init__(self) -> None:

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from scipy.spatial.transform import Rotation
 
 import implicit
 import meshref
+from compare.cases.handles import HandleSpec
 from compare.editor import Motion, Settings, ball, beyond_stroke, half_space
 from compare.editor.drawing import colours, scale_of_colours, shown_range, sight, under_ray
 from compare.editor.exports import MESHES, case_of, export_field, export_handles, export_mesh
@@ -118,3 +120,31 @@ def test_energies_are_those_of_the_mesh_itself(sphere):
     assert found.energies["ARAP"][0] > 1e-4
     held = found.V[:, 0] < -0.3
     np.testing.assert_allclose(found.moved[held], found.V[held], atol=1e-9)
+
+
+def test_scaling_and_brushes_are_the_same_in_the_users_coordinates():
+    """Both are given in 20 x + (100, 0, -50) and built for x; there they must do what they say in the former."""
+    scale, offset, center = 20.0, np.array([100.0, 0.0, -50.0]), np.array([110.0, 0.0, -50.0])
+    spec = HandleSpec(
+        {"kind": "points", "centers": [center.tolist(), [90.0, 0.0, -50.0]], "radius": 5.0},
+        {
+            "kind": "similar",
+            "factor": 2.0,
+            "center": center.tolist(),
+            "rotation": [0, 0, 0.5],
+            "translation": [1, 0, 0],
+        },
+    )
+    places = center + np.random.default_rng(0).normal(size=(50, 3)) * 8
+    wanted = 2 * (places - center) @ Rotation.from_rotvec([0, 0, 0.5]).as_matrix().T + center + [1, 0, 0]
+    handle = spec.in_field(scale, offset.tolist()).build()
+    points = torch.from_numpy((places - offset) / scale)
+    moved = handle.position(1.0, points, points).numpy() * scale + offset
+    np.testing.assert_allclose(moved, wanted, atol=1e-9)
+    near = np.minimum(np.linalg.norm(places - center, axis=1), np.linalg.norm(places - [90, 0, -50], axis=1)) <= 5
+    assert (handle.weights(points).numpy() > 0).tolist() == near.tolist()
+    assert 0 < near.sum() < 50
+    with pytest.raises(ValueError, match="centers of a region must be points"):
+        HandleSpec({"kind": "points", "centers": [[1, 2]], "radius": 1.0}, {"kind": "along", "distance": 1.0})
+    with pytest.raises(ValueError, match="factor of a motion must be positive"):
+        HandleSpec(spec.region, {"kind": "similar", "factor": 0.0, "center": [0, 0, 0]})
