@@ -1,4 +1,4 @@
-"""The number of points that an edit needs where each parameter acts near its own place alone.
+"""The number of points that an edit needs, and points that carry nothing to judge whether it had enough.
 
 A network's parameters act everywhere, so that a few thousand points hold the surface between them too. A grid's do not:
 what no point of the sample sees does not move, and between the points the surface lags behind. So other points of the
@@ -6,7 +6,8 @@ surface are asked as well: with x the linear solution at the sample's points,
 
     unmet = |B x - y| / |y|        at the sample's points, and at others
 
-and the sample is doubled until the others are met about as well.
+and the sample is doubled until the others are met about as well. A network's sample stays as it was asked for; where it
+is small, other points judge what the edit has left between its own.
 """
 
 from __future__ import annotations
@@ -35,6 +36,10 @@ ALLOWED, ALLOWED_MULTIPLE = 0.015, 1.5
 MOST_POINTS = 32_000
 OTHERS = 3000
 
+# Points from which on a network, whose parameters act everywhere, holds the surface between them; fewer are judged by
+# others. On the cow's flank a bump of three parts is missed by 16 % between 500 points, 9 % of 1000, 6 % of 2000.
+MANY_POINTS, JUDGES = 2000, 1000
+
 # Of the linear solution, relative to the trace: about where the edits of grids end up.
 RELATIVE_DAMPING = 1e-6
 
@@ -47,7 +52,7 @@ class Carriers:
 
     Attributes:
         sample: The points.
-        others: Points of the unedited surface that carry nothing; None for fields whose parameters act everywhere.
+        others: Points of the unedited surface that carry nothing; None where a network's points are many.
         notes: What is to be said of their number, a sentence each.
     """
 
@@ -78,7 +83,8 @@ def carriers(field: Field, points: int | SurfaceSample, targets_of: TargetsOf, *
     sample = carrying_points(field, points, seed=seed)
     targets_of(sample.points, sample.normals).require_points_in_each_region(field.units)
     if not has_sparse_rows(field, sample.points):
-        return Carriers(sample)
+        few = len(sample) < MANY_POINTS
+        return Carriers(sample, sample_surface(field, JUDGES, seed=seed + 1) if few else None)
     others = sample_surface(field, OTHERS, seed=seed + 1)
     larger, unmet = _enough(field, sample, others, targets_of, seed)
     count = f"{len(sample):,} points are too few for the field, whose parameters act near their own place alone"

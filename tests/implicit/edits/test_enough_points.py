@@ -10,12 +10,14 @@ from implicit import (
     Ball,
     EditStatus,
     Field,
+    HalfSpace,
     Handle,
     Siren,
     Verdict,
     expressibility,
     geometric_edit,
     sample_surface,
+    shapes,
 )
 from implicit.edits.enough_points import carriers
 from implicit.edits.targets import SummedTargets
@@ -81,5 +83,19 @@ def test_fields_whose_parameters_act_everywhere_get_what_was_asked_for():
 
     found = carriers(Field(Ball3()), FEW, lambda points, normals: SummedTargets([BUMP], points, normals))
     assert len(found.sample) == FEW
-    assert found.others is None
+    assert found.others is not None
     assert found.notes == ()
+
+
+def test_many_points_of_a_network_need_no_others():
+    handles = [Handle(HalfSpace((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)), Along(0.05))]
+    found = carriers(shapes.sphere(0.5), 2000, lambda points, normals: SummedTargets(handles, points, normals))
+    assert found.others is None
+
+
+def test_what_few_points_of_a_network_leave_between_them_is_no_success():
+    bump = Handle(Ball((0.25, 0.0, -0.2), 0.1, falloff=0.16), Along(0.05))
+    edit = geometric_edit(shapes.bundled("spot"), bump, steps=2, points=100, resolution=24)
+    assert edit.error_field().nan_to_num().square().mean().sqrt() < 0.05  # at its own points
+    assert edit.status is EditStatus.NOT_REACHED
+    assert any("carried no target" in note for note in edit.notes)
