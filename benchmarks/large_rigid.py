@@ -27,6 +27,8 @@ from compare.cases.subject import Subject
 from compare.paper.rigid_bends import BAR, STAGES, arap_way, turning_handles
 from compare.runs.operations import target_motion
 from compare.runs.subject import prepare_subject
+from implicit.step.local_global import Hold, LocalGlobal
+from implicit.step.spokes_and_rims import SpokesAndRims
 
 CACHE = Path(gettempdir()) / "implicit-vs-mesh-large-rigid"  # of fits
 CELLS = 128  # at which the edited surface is extracted and its pieces are counted
@@ -57,6 +59,23 @@ class Scene:
         *way, goal = arap_way(self.subject, self.case, self.stages)
         return meshref.arap(self.subject.V, self.subject.F, held, goal, way=way)
 
+    def with_volume(self) -> tuple[np.ndarray, float]:
+        """Return the vertices of the common mesh at ARAP's least energy with its volume held, and the energy."""
+        V, F = self.subject.V, self.subject.F
+        held = target_motion(self.case, self.subject).at
+        way = arap_way(self.subject, self.case, self.stages)
+
+        def places(fraction: float) -> np.ndarray:
+            goal = V.copy()
+            goal[held] = way[max(round(fraction * self.stages), 1) - 1]
+            return goal
+
+        energy = SpokesAndRims(V, F)
+        solver = LocalGlobal(energy, Hold(held, np.zeros(len(V))))
+        volume = solver.volume.value(V)
+        found = solver.minimum(places, V, stages=self.stages, tolerance=1e-6, iterations=2000, volume=volume)
+        return found.positions, found.energy
+
     def edit(self, **options: Any) -> tuple[implicit.Edit, float]:
         """Return the edit, with the common mesh tracked, and its processor seconds."""
         clock = time.process_time()
@@ -65,8 +84,13 @@ class Scene:
         )
         return found, time.process_time() - clock
 
-    def row(self, edit: implicit.Edit, arap: meshref.ArapResult) -> dict[str, Any]:
-        """Return how far an edit is from ARAP, over the longest side, its energy over ARAP's, and its pieces."""
+    def row(self, edit: implicit.Edit, positions: np.ndarray, energy: float) -> dict[str, Any]:
+        """Return how far an edit is from ARAP, over the longest side, its energy over ARAP's, and its pieces.
+
+        Args:
+            edit: With the common mesh tracked.
+            positions, energy: ARAP's.
+        """
         V, F = self.subject.V, self.subject.F
         box = float(np.ptp(V, axis=0).max())
         surface = implicit.extract_mesh(edit.field, CELLS)
@@ -75,9 +99,9 @@ class Scene:
         missed = (moved - V - target.displacement)[target.at]
         parts = implicit.mesh_topology(*surface)
         return {
-            "H": meshref.hausdorff(*surface, arap.V, F) / box,
+            "H": meshref.hausdorff(*surface, positions, F) / box,
             "rest": meshref.hausdorff(*implicit.extract_mesh(self.subject.field, CELLS), V, F) / box,
-            "E": meshref.arap_energy(V, F, moved) / arap.energy,
+            "E": meshref.arap_energy(V, F, moved) / energy,
             "pieces": parts.components,
             "Euler": parts.euler,
             "handles": float(np.sqrt((missed**2).sum(axis=1).mean())) / box,
@@ -176,7 +200,12 @@ def main() -> None:
         scene = SCENES[name](given.meshes)
         edit, seconds = scene.edit(method=given.method, constraints=held)
         print(f"  {scene.name}: {seconds:.1f} processor s, {edit.status.name} {edit.notes}", flush=True)
-        row = scene.row(edit, scene.arap())
+        if given.volume:
+            reference = scene.with_volume()
+        else:
+            arap = scene.arap()
+            reference = arap.V, arap.energy
+        row = scene.row(edit, *reference)
         print(
             f"| {scene.name} | {row['H']:.2%} ({row['rest']:.2%}) | {row['E']:.3f} | {row['pieces']}, {row['Euler']}: "
             f"{edit.status.name} | {row['handles']:.3%} | {row['volume']:.2%} | {seconds:.1f} |",

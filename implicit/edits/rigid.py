@@ -174,11 +174,10 @@ def rigid_edit(
         seed=seed,
     )
     start = None if rest is None else _deformation(field, rest)
-    handles = checked_handles(handles)
     planar = precise.dimension == 2
     if planar or start is not None:
         method = _finite_alone(method, "a field in 2 dimensions" if planar else "a shape at rest of before")
-    points = _checked_points(precise, points)
+    handles, points = checked_handles(handles), _checked_points(precise, points)
     choice = _choice(method, precise, handles, points, settings, tangential)
     if choice.coupled and len(precise.theta) > ALL_PARAMETERS:
         raise ValueError(
