@@ -1,7 +1,7 @@
 """Run scripts of the gallery, keep their pictures and what they print: python docs/site/draw_gallery.py [NAME ...]
 
-Each runs in an empty folder of its own. The picture, as NAME.webp, and the text NAME.txt go beside the script, to be looked
-at and committed; the site shows them and runs nothing.
+Each runs in an empty folder of its own. The picture, as NAME.webp, and the text NAME.txt go beside the script, to be
+looked at and committed; the site shows them and runs nothing.
 """
 
 import os
