@@ -100,10 +100,10 @@ def test_a_script_has_its_picture_what_it_prints_and_a_place_in_the_gallery(scri
     source = script.read_text(encoding="utf-8")
     assert missing_names(source) == []
     assert ast.get_docstring(ast.parse(source))
-    assert script.with_suffix(".png").stat().st_size < 300_000
+    assert script.with_suffix(".webp").stat().st_size < 100_000
     assert script.with_suffix(".txt").read_text(encoding="utf-8").strip()
     title = ast.get_docstring(ast.parse(source)).splitlines()[0]
-    assert f"[![{title}]({script.stem}.png)]({script.stem}.py)" in (DOCS / "gallery" / "index.md").read_text()
+    assert f"[![{title}]({script.stem}.webp)]({script.stem}.py)" in (DOCS / "gallery" / "index.md").read_text()
 
 
 def test_the_cheapest_script_runs(tmp_path):

@@ -15,7 +15,8 @@ from implicit import HalfSpace, Handle, RigidMotion, shapes
 
 field = shapes.bundled("cactus")
 foot = Handle(HalfSpace((0, -0.6, 0), (0, -1, 0)), (0.0, 0.0, 0.0))
-bent = RigidMotion(rotation=(math.radians(60), 0.0, 0.0))  # forward, about the middle
+# Forward, to where the trunk ends if it bends to an arc and keeps its length.
+bent = RigidMotion(rotation=(math.radians(60), 0.0, 0.0), translation=(0.0, 0.09, 0.05))
 top = Handle(HalfSpace((0, 0.6, 0), (0, 1, 0)), bent)
 
 # %%

@@ -1,7 +1,7 @@
 """Run scripts of the gallery, keep their pictures and what they print: python docs/site/draw_gallery.py [NAME ...]
 
-Each runs in an empty folder of its own. The picture NAME.png and the text NAME.txt go beside the script, to be looked
-at and committed; the site shows them and runs nothing.
+Each runs in an empty folder of its own. The picture, as NAME.webp, and the text NAME.txt go beside the script, to be
+looked at and committed; the site shows them and runs nothing.
 """
 
 import os
@@ -54,8 +54,8 @@ def main() -> None:
             except RuntimeError as error:
                 failed.append(str(error))
                 continue
-            with Image.open(Path(folder) / f"{script.stem}.png") as picture:  # in few colours, a third of the size
-                picture.convert("RGB").quantize(160).save(GALLERY / f"{script.stem}.png", optimize=True)
+            with Image.open(Path(folder) / f"{script.stem}.png") as picture:  # a quarter of the size
+                picture.convert("RGB").save(GALLERY / f"{script.stem}.webp", quality=88, method=6)
         (GALLERY / f"{script.stem}.txt").write_text(text, encoding="utf-8")
         of_processor = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - began[1]
         print(f"{script.stem}: {time.perf_counter() - began[0]:.0f} s, {of_processor:.0f} s of processor", flush=True)

@@ -1,7 +1,7 @@
 """Scripts of the gallery as pages: comments become prose, the rest stays code, with the picture and what is printed.
 
 A script begins with a docstring, its title and a few sentences. Lines "# %%" part it into cells, and the comment that
-begins a cell is prose. NAME.png and NAME.txt beside it are what draw_gallery.py has kept of a run.
+begins a cell is prose. NAME.webp and NAME.txt beside it are what draw_gallery.py has kept of a run.
 """
 
 import ast
@@ -39,7 +39,7 @@ def page_of(name: str, source: str, printed: str | None, picture: bool) -> str:
     for k, (prose, code) in enumerate(cells_of(source)):
         parts.append(prose)
         if k == 0 and picture:
-            parts.append(f"![{title_of(source)}]({name}.png)")
+            parts.append(f"![{title_of(source)}]({name}.webp)")
         if code:
             parts.append(f"```python\n{code}\n```")
     if printed:
@@ -54,7 +54,7 @@ def read(app: Sphinx, docname: str, content: list[str]) -> None:
     if docname.startswith(FOLDER) and path.is_file():
         printed = path.with_suffix(".txt")
         text = printed.read_text(encoding="utf-8") if printed.is_file() else None
-        content[0] = page_of(path.stem, content[0], text, path.with_suffix(".png").is_file())
+        content[0] = page_of(path.stem, content[0], text, path.with_suffix(".webp").is_file())
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
