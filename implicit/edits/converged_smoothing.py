@@ -18,7 +18,7 @@ from torch import Tensor
 from implicit.arguments import require_positive, require_whole
 from implicit.edits.smoothing import smooth
 from implicit.evolve.edit import Edit, EditStatus, Progress, require_options
-from implicit.field.field import Field
+from implicit.field.field import Field, require_field
 from implicit.surface.sampling import sample_surface
 
 # Points on which two flows are compared where the caller tracks none.
@@ -83,6 +83,8 @@ def converged_smooth(
         ValueError: An option is out of range.
         TypeError: It is none of smooth.
     """
+    require_field(field)
+    track = field.in_precision(track)
     require_options(field, track=track, progress=progress)
     require_positive("time", time)
     require_whole("steps", steps)

@@ -21,7 +21,7 @@ from implicit.edits.targets import Rest, SummedTargets, checked_handles
 from implicit.evolve.constraints import checked_constraints
 from implicit.evolve.edit import Edit, Progress, require_options, with_evidence
 from implicit.evolve.evolve import evolve
-from implicit.field.field import Field
+from implicit.field.field import Field, require_field
 from implicit.renamed import renamed
 from implicit.sensitivity.pointwise_curvature import normal_turning
 from implicit.sensitivity.shape_functionals import Functional
@@ -76,6 +76,8 @@ def geometric_edit(
     Raises:
         ValueError: No point of the surface lies in any region, or a displacement is not finite.
     """
+    require_field(field)
+    track = field.in_precision(track)
     require_options(field, damping=damping, resolution=resolution, track=track, progress=progress, seed=seed)
     listed = checked_handles(handles)
     constraints = checked_constraints(constraints)

@@ -26,7 +26,7 @@ from implicit.edits.targets import SummedTargets, checked_handles
 from implicit.evolve.edit import Edit, EditStatus, Progress, require_options
 from implicit.evolve.evolve import evolve
 from implicit.evolve.operation import Outcome, State, Taken
-from implicit.field.field import Field
+from implicit.field.field import Field, require_field
 from implicit.renamed import renamed
 from implicit.sensitivity.boundary_sensitivity import BLOCK, value_and_gradients
 from implicit.step.deformation import DeformationSpace
@@ -86,6 +86,8 @@ def semantic_edit(
             option is out of range.
         SurfaceError: A point is farther than a fiftieth of the field's size from the surface.
     """
+    require_field(field)
+    track = field.in_precision(track)
     require_options(field, damping=damping, track=track, progress=progress)
     _check_options(steps, stride, trust_region, least_alignment, tolerance)
     if prior is not None and not isinstance(prior, CodePrior):

@@ -34,7 +34,7 @@ from implicit.evolve.constraints import Holding, checked_constraints
 from implicit.evolve.edit import Edit, EditStatus, Progress, edit_status, require_options
 from implicit.evolve.evolve import evolve
 from implicit.evolve.operation import Outcome, State, Taken
-from implicit.field.field import Field
+from implicit.field.field import Field, require_field
 from implicit.renamed import renamed
 from implicit.sensitivity.pointwise_curvature import NormalTurning, normal_turning
 from implicit.sensitivity.shape_functionals import Functional, Volume
@@ -156,6 +156,8 @@ def smooth(
     Raises:
         ValueError: The flow has no weak form, but needs one.
     """
+    require_field(field)
+    track = field.in_precision(track)
     require_options(field, damping=damping, resolution=resolution, track=track, progress=progress, seed=seed)
     constraints = checked_constraints(constraints)
     require_whole("steps", steps)

@@ -10,7 +10,7 @@ import copy
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import Any, Literal
+from typing import Any, Literal, overload
 
 import torch
 from jaxtyping import Float
@@ -395,7 +395,11 @@ class Field:
             raise ValueError(f"{name}[{i}] is not finite: {points[i].tolist()}. Remove or mend it.")
         return points
 
-    def in_precision(self, points: Tensor) -> Tensor:
+    @overload
+    def in_precision(self, points: None) -> None: ...
+    @overload
+    def in_precision(self, points: Tensor) -> Tensor: ...
+    def in_precision(self, points: Tensor | None) -> Tensor | None:
         """Return real points in the field's precision; anything else as it is, for require_points to refuse."""
         if isinstance(points, Tensor) and points.is_floating_point():
             return points.to(self.dtype)

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from implicit import Area, HalfSpace, Holding, Until, Volume, shapes, smooth, surface_quadrature
+from implicit import Area, HalfSpace, Holding, Until, Volume, extract_mesh, shapes, smooth, surface_quadrature
 from implicit.evolve.edit import EditStatus
 
 BALL = {"points": 40, "directions": None, "resolution": 16}  # all of its points say the same of its radius
@@ -125,3 +125,14 @@ def test_coarse_settings_hold_the_volume_of_real_shapes(name):
     edit = smooth(field, steps=2, step_size=1e-3, constraints=(Volume(),), **options)
     assert edit.status is EditStatus.DONE
     assert max(row["constraint_gap"] for row in edit.history) < 1e-8
+
+
+@pytest.mark.parametrize("precision", [torch.float32, torch.float64])
+def test_vertices_of_any_precision_are_carried_along(precision):
+    """As they come from extract_mesh, in double precision, on a field in single."""
+    field = shapes.sphere(0.5).to(torch.float32)
+    V, F = extract_mesh(field, resolution=12)
+    track = torch.from_numpy(V).to(precision)
+    edit = smooth(field, steps=1, step_size=1e-3, points=40, resolution=16, track=track)
+    assert len(edit.frames(track, F)) == 2
+    assert edit.tracked.norm(dim=1).mean() < 0.4999
