@@ -85,6 +85,9 @@ FIRMNESS = (1.0, 1e2, 1e4)
 # The same ratio from which the ripples that are left are told of.
 RIPPLED = 0.3
 
+# Energy of the points on their way over that at the goal from which they are said to have unwound.
+UNWOUND = 10.0
+
 # Part of the points' surface inside another part of it that is told of.
 CROSSED = 2e-3
 
@@ -170,6 +173,8 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
     surface_map = start.map_to(minimum)
     if minimum.status is not MinimumStatus.CONVERGED:
         own.append(_minimum_note(minimum))
+    if tell.highest > UNWOUND * minimum.energy:
+        own.append(_unwound_note(tell.highest, minimum.energy))
     seconds_points = time.perf_counter() - began
     edited, following = _followed(problem, follower, before.topology, tell)
     own += _following_notes(problem.field, following)
@@ -222,6 +227,7 @@ def _points(problem: FiniteProblem, start: Deformation, held: float | None, boun
             tolerance=TOLERANCE,
             volume=volume,
             report=tell.points,
+            passed=lambda positions: tell.passed(rest.energy.energy(positions)),
         )
 
     if held is None or bound == "equal":
@@ -585,6 +591,13 @@ def _without_crossing_note(crossed: float) -> str:
     )
 
 
+def _unwound_note(highest: float, end: float) -> str:
+    return (
+        f"The energy of the points fell from {highest:.2g} on their way to {end:.2g} at the goal: what was turned has "
+        "unwound, through itself, for so much turning in so short a part has no rest. Turn less, or a longer part."
+    )
+
+
 def _strain_notes(row: Row) -> list[str]:
     """Return what to know of the strain between the field's surface and the points."""
     part = row["strain_left"] / row["energy"] if row["energy"] > 0 else 0.0
@@ -619,6 +632,11 @@ class _Teller:
         self._progress = progress
         self._last = 0
         self._round = 0
+        self.highest = 0.0  # energy at the end of a stage
+
+    def passed(self, energy: float) -> None:
+        """Take in the energy of the points at the end of a stage of their way."""
+        self.highest = max(self.highest, energy)
 
     def round(self, number: int) -> None:
         """Begin a round of the optimiser."""
