@@ -137,7 +137,10 @@ def test_progress_is_told_of_every_step_of_the_neural_edit(small_cases):
     told = []
     rigid = next(c for c in small_cases if c.operation == "rigid")
     run_case(rigid, progress=lambda step, steps, what: told.append((step, steps, what)))
-    assert told == [(k, 3, "rigid, neural field") for k in (1, 2, 3)]
+    of_the_field = [(step, steps, what) for step, steps, what in told if what.endswith("neural field") and step > 0]
+    assert of_the_field == [(k, 3, "bulb, rigid, neural field") for k in (1, 2, 3)]
+    assert told[0][2] == "bulb, the common mesh"
+    assert told[-1][2].startswith("bulb, rigid, ")
 
 
 def test_a_shape_that_does_not_exist_is_a_row(tmp_path):
