@@ -87,14 +87,21 @@ def outline(
 def placed_outline(
     shape: str, module: str | None = None, mending: Mending | None = None
 ) -> tuple[Float[ndarray, "n 3"], Float[ndarray, "n 3"], Float[ndarray, "2 3"], implicit.Units]:
-    """Return what `outline` does, and the units of the field."""
+    """Return what `outline` does, and the units of the field.
+
+    Raises:
+        InputError: The mesh cannot be read or mended, or the field has no surface within its bounds.
+    """
     if Path(shape).suffix.lower() in MESH_SUFFIXES:
         V, F, _ = load_mesh(shape, mending)
         V, units = place_in_cube(V)
         bounds = np.array([[-1.0] * 3, [1.0] * 3])  # of every field that is fitted to a mesh
     else:
         field = _field(shape, module)
-        V, F = implicit.extract_mesh(field, CELLS)
+        try:
+            V, F = implicit.extract_mesh(field, CELLS)
+        except ValueError as error:
+            raise InputError(f"{shape}: {error}") from error
         bounds, units = field.bounds.cpu().numpy(), field.units
     sample = meshref.sample_mesh(V, F, POINTS)
     return sample.points, sample.normals, bounds, units

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import implicit
 import meshref
+from implicit import shapes
 
 
 def files_under(folder):
@@ -238,3 +240,11 @@ def test_a_mended_mesh_is_fitted_and_the_mending_is_printed(command, tmp_path):
     assert result.returncode == 0, result.stderr
     assert "looked the wrong way" in result.stdout
     assert (tmp_path / "ball.safetensors").stat().st_size > 0
+
+
+@pytest.mark.parametrize("words", [("handles",), ("study", "points", "--quick", "--shapes"), ("edit", "--no-browser")])
+def test_a_field_whose_surface_leaves_its_bounds_is_refused_in_a_sentence(words, command, tmp_path):
+    implicit.save_field(shapes.sphere(1.2), tmp_path / "large.safetensors")
+    ended = command(*words, "large.safetensors", cwd=tmp_path)
+    assert ended.returncode == 2
+    assert "The surface leaves the bounds" in ended.stderr
