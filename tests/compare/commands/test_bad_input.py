@@ -244,7 +244,8 @@ def test_a_mended_mesh_is_fitted_and_the_mending_is_printed(command, tmp_path):
 
 @pytest.mark.parametrize("words", [("handles",), ("study", "points", "--quick", "--shapes"), ("edit", "--no-browser")])
 def test_a_field_whose_surface_leaves_its_bounds_is_refused_in_a_sentence(words, command, tmp_path):
-    implicit.save_field(shapes.sphere(1.2), tmp_path / "large.safetensors")
+    field = implicit.Field(shapes.sphere(1.2).module, bounds=((-1.0,) * 3, (1.0,) * 3))
+    implicit.save_field(field, tmp_path / "large.safetensors")
     ended = command(*words, "large.safetensors", cwd=tmp_path)
     assert ended.returncode == 2
     assert "The surface leaves the bounds" in ended.stderr
