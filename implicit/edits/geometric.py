@@ -74,7 +74,8 @@ def geometric_edit(
         The edit. `before` and `after` say how sound the field is, `notes` what has become worse.
 
     Raises:
-        ValueError: No point of the surface lies in any region, or a displacement is not finite.
+        ValueError: No point of the surface lies in any region, or a displacement is not finite, or longer than the
+            bounds are across.
     """
     require_field(field)
     track = field.in_precision(track)
@@ -88,6 +89,7 @@ def geometric_edit(
     carrying = carriers(field, points, targets_of, seed=seed)
     sample = carrying.sample
     targets = targets_of(sample.points, sample.normals)
+    _require_within_bounds(field, targets.largest())
     before = field_soundness(field, resolution)
     kinked = steps is None and not normal_turning(field, sample.points).is_smooth
     schedule = PartSchedule.of(steps, targets.largest() / field.size, kinked=kinked)
@@ -105,6 +107,16 @@ def geometric_edit(
         progress=progress,
     )
     return with_evidence(carrying.judged(edit), field, before, resolution)
+
+
+def _require_within_bounds(field: Field, largest: float) -> None:
+    """Refuse a displacement that would take any surface out of the bounds."""
+    across = float((field.bounds[1] - field.bounds[0]).norm())
+    if largest > across:
+        raise ValueError(
+            f"A displacement is {largest:.4g} long where the field's bounds are {across:.4g} from corner to corner, in "
+            "the field's coordinates: the surface would leave them. Shorten it, or look at its units."
+        )
 
 
 def _target_and_directions(targets: SummedTargets) -> tuple[Tensor, Tensor]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from implicit.edits.enough_points import MOST_POINTS
 from implicit.edits.targets import SummedTargets
 from implicit.evolve.edit import EditStatus
 from implicit.evolve.operation import Outcome, State, Taken
@@ -223,8 +224,9 @@ class GeometricOperation:
         """Return the memory before a part, with more points where those there were stand for too large an area."""
         places, used = _places(field, points, carriers, schedule.now)
         stretch = carriers.coverage.stretch(places, used)
-        if stretch > MOST_STRETCH:
-            count = int(stretch * len(carriers.sample))
+        # Where points have lost their neighbours the stretch has no end, and more of them would find none either.
+        count = int(min(stretch * len(carriers.sample), max(MOST_POINTS, len(carriers.sample))))
+        if stretch > MOST_STRETCH and count > len(carriers.sample):
             sample = sample_surface(self._origin, count, seed=self._seed + step)
             targets = self._targets_of(sample.points, sample.normals)
             coverage = _Coverage(targets, sample, carriers.coverage.density)

@@ -23,6 +23,7 @@ from implicit import (
     shapes,
     surface_quadrature,
 )
+from implicit.edits.enough_points import MOST_POINTS
 from implicit.evolve.edit import EditStatus, with_evidence
 from tests.implicit.conftest import Occupancy, Wobbly, seeded_siren
 
@@ -280,3 +281,24 @@ def test_a_network_too_large_for_a_matrix_is_edited_by_products(monkeypatch, wob
     free = geometric_edit(wobbly, bump(wobbly), **options)
     assert free.history[0]["method"] == "cg"
     torch.testing.assert_close(free.displacement, dense.displacement, rtol=0, atol=1e-4)
+
+
+def test_points_that_lose_their_neighbours_are_not_drawn_without_end(monkeypatch):
+    """As under a scaling that tears the surface apart: the area that a point stands for has no bound then."""
+    drawn = []
+
+    def draw(field, count, **options):
+        drawn.append(count)
+        return sample_surface(field, 60, **options)
+
+    monkeypatch.setattr("implicit.edits.geometric_parts._Coverage.stretch", lambda *_: 1e12)
+    monkeypatch.setattr("implicit.edits.geometric_parts.sample_surface", draw)
+    geometric_edit(shapes.sphere(0.5), Handle(EVERYWHERE, Along(0.05)), steps=3, points=60, resolution=16)
+    assert drawn
+    assert max(drawn) <= MOST_POINTS
+
+
+@pytest.mark.parametrize("motion", [(9.0, 0.0, 0.0), lambda points: 1e6 * points])
+def test_a_displacement_longer_than_the_bounds_is_refused(motion):
+    with pytest.raises(ValueError, match="bounds are .* from corner to corner"):
+        geometric_edit(shapes.sphere(0.5), Handle(EVERYWHERE, motion), points=60, resolution=16)
