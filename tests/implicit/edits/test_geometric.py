@@ -300,5 +300,5 @@ def test_points_that_lose_their_neighbours_are_not_drawn_without_end(monkeypatch
 
 @pytest.mark.parametrize("motion", [(9.0, 0.0, 0.0), lambda points: 1e6 * points])
 def test_a_displacement_longer_than_the_bounds_is_refused(motion):
-    with pytest.raises(ValueError, match="bounds are .* from corner to corner"):
+    with pytest.raises(ValueError, match="from corner to corner"):
         geometric_edit(shapes.sphere(0.5), Handle(EVERYWHERE, motion), points=60, resolution=16)
