@@ -148,6 +148,8 @@ def test_run_prints_a_table_and_writes_the_run_folder(finished):
         "meshes",
         "subjects",
         "report.html",
+        "run.json",
+        "table.csv",
     }
     assert [r.case.operation for r in read(folder / "out")] == ["geometric", "rigid"]
 
