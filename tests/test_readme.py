@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+import implicit
+import implicit.shapes
 import meshref
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -54,10 +56,13 @@ def execute(arguments, folder, **options):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """An empty folder with a mesh of the reader's own: a stretched ball, in other units than the field's."""
+    """A folder with a mesh of the reader's own, a stretched ball in other units than the field's, and a ball as a field."""
     folder = tmp_path_factory.mktemp("readme")
     V, F = meshref.icosphere(3)
     meshref.write_mesh(folder / "my-shape.obj", V * [20.0, 35.0, 25.0] + 100, F)
+    implicit.save_field(
+        implicit.shapes.sphere(0.6), folder / "ball.safetensors"
+    )  # for what is not there to be looked at
     return folder
 
 
@@ -78,12 +83,12 @@ def in_short(command):
     cheaper = {
         "implicit-vs-mesh run": " --quick --operations geometric",
         "implicit-vs-mesh fit": " --width 8 --steps 200",
-        "implicit-vs-mesh study points": " --shapes bracket",
+        "implicit-vs-mesh study points": " --shapes ball.safetensors",
     }
     more = next((more for start, more in cheaper.items() if command.startswith(start)), "")
     fewer = {
         "paper basis semantic_basis": "paper rope",
-        "implicit-vs-mesh run --": "implicit-vs-mesh run bracket --",
+        "implicit-vs-mesh run --": "implicit-vs-mesh run ball.safetensors --",
         " --workers 2": "",
     }
     command += more

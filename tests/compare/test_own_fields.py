@@ -187,6 +187,7 @@ def test_a_module_that_does_not_build_the_field_is_refused_before_work(ball, com
     assert not (ball / "out").exists()
 
 
+@pytest.mark.nightly
 def test_a_study_runs_code_that_the_call_names_and_not_its_files(ball):
     (ball / "own.toml").write_text(STUDY)
     study = find_study("own.toml")

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 
 def hashes(hash_seed, times):
     """What bits.py prints: so many hashes for each operation."""
@@ -20,8 +22,9 @@ def hashes(hash_seed, times):
     return json.loads(result.stdout)
 
 
-def test_one_seed_gives_one_result_to_the_bit():
-    here, there = hashes(1, times=2), hashes(2, times=1)
-    assert [name for name, (once, again) in here.items() if once != again] == []
+@pytest.mark.parametrize("times", [1, pytest.param(2, marks=pytest.mark.nightly)])
+def test_one_seed_gives_one_result_to_the_bit(times):
+    here, there = hashes(1, times), hashes(2, times=1)
+    assert [name for name, found in here.items() if len(set(found)) > 1] == []
     assert [name for name in here if here[name][0] != there[name][0]] == []
-    assert len({once for once, _ in here.values()}) == len(here)
+    assert len({found[0] for found in here.values()}) == len(here)

@@ -196,6 +196,7 @@ def test_a_shape_is_picked_dragged_edited_undone_and_exported_by_mouse(browser, 
         hand.page.close()
 
 
+@pytest.mark.nightly
 def test_a_lost_connection_loses_no_edit_and_a_new_page_shows_it(browser, editor):
     session = editor.session
     hand = Hand(browser, editor)

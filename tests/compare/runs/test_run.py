@@ -115,6 +115,7 @@ def test_a_case_that_fails_is_a_row_with_its_reason_and_ends_nothing(small_cases
         run_cases([good], on_failure=None)
 
 
+@pytest.mark.nightly
 def test_a_pool_gives_what_a_loop_gives(small_run, small_cases):
     with ThreadPoolExecutor(2) as pool:
         records = run_cases(small_cases[:2], pool)

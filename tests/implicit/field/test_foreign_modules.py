@@ -351,7 +351,12 @@ REFUSED: dict[str, tuple[Make, dict[str, Any], str]] = {
 }  # fmt: skip
 
 
-COMBINED = [(body, around) for body in BODIES for around in AROUND]
+# By turns: each body within every third surrounding, and each surrounding about every third body.
+COMBINED = [
+    pytest.param(body, around, marks=pytest.mark.nightly if (k + n) % 3 else ())
+    for k, body in enumerate(BODIES)
+    for n, around in enumerate(AROUND)
+]
 
 
 @pytest.mark.parametrize(("body", "around"), COMBINED)
