@@ -56,7 +56,7 @@ def execute(arguments, folder, **options):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A folder with a mesh of the reader's own, a stretched ball in other units than the field's, and a ball as a field."""
+    """A folder with a mesh of the reader's own, a stretched ball in other units than the field's, and a field."""
     folder = tmp_path_factory.mktemp("readme")
     V, F = meshref.icosphere(3)
     meshref.write_mesh(folder / "my-shape.obj", V * [20.0, 35.0, 25.0] + 100, F)
