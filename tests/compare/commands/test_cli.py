@@ -177,6 +177,7 @@ def test_report_and_figures_can_be_made_again(command, finished):
     assert (folder / "pictures" / "bulb.png").stat().st_size > 10_000
 
 
+@pytest.mark.nightly
 def test_quiet_prints_nothing(command, finished, shape_file, tmp_path):
     result = command("run", shape_file, "--quick", "--operations", "rigid", "-o", "out", "--quiet", cwd=tmp_path)
     assert (result.returncode, result.stdout, result.stderr) == (0, "", "")

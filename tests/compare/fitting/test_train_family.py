@@ -17,6 +17,7 @@ def run(line):
     return end.value.code
 
 
+@pytest.mark.nightly
 def test_a_model_is_written_with_its_scores_and_the_command_that_makes_it_again(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert run(f"train-family dualsdf lamps -o model.safetensors --half --quiet {TINY}") == 0

@@ -147,7 +147,8 @@ def volume_of(surface):
 
 
 @pytest.mark.skipif(not FIELDS.is_dir(), reason="the fields of ../shared/data are not here")
-@pytest.mark.parametrize("name", ["fox", pytest.param("hammer", marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", ["fox", "hammer"])
 def test_a_relu_network_trained_elsewhere_loses_area_as_its_mesh_does(name):
     """fox 7 x 32, hammer 8 x 64: three steps with the volume held, or ten, within 5 % of the flow of its mesh.
 
