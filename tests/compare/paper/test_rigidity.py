@@ -20,6 +20,7 @@ def cactus() -> Subject:
     return prepare_subject(Case("cactus", "smooth", vertices=1200, resolution=48))
 
 
+@pytest.mark.nightly
 def test_a_small_step_is_as_rigid_as_the_mesh_with_the_same_handle_error(cactus):
     found = rigidity("cactus", cactus, points=600)
     assert found.mesh_handle_error == pytest.approx(found.handle_error, rel=0.02)

@@ -12,6 +12,8 @@ import subprocess
 import sys
 import time
 
+import pytest
+
 import implicit
 import implicit.shapes
 from compare.runs.records import FILE, read
@@ -59,6 +61,7 @@ def wait_for_rows(folder, number, process):
         time.sleep(0.01)
 
 
+@pytest.mark.nightly
 def test_a_study_that_is_killed_and_interrupted_ends_with_every_row_once(tmp_path):
     implicit.save_field(implicit.shapes.sphere(0.6), tmp_path / "ball.safetensors")
     (tmp_path / "cheap.toml").write_text(STUDY.format(seeds=list(range(CASES // 2))))

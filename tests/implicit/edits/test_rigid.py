@@ -86,6 +86,7 @@ def test_handles_go_where_they_are_told_and_the_anchor_stays(spot, features):
     assert float((edit.displacement - edit.wanted)[held].norm(dim=1).max()) < 0.02
 
 
+@pytest.mark.nightly
 def test_combinations_of_sensitivities_do_nearly_what_all_parameters_do(spot, features, monkeypatch):
     """As a wider network's step is sought; of the 2273 parameters here, 975 combinations."""
     handles = [Handle(HEAD, (0.01, 0.0, 0.0)), Handle(FEET, (0.0, 0.0, 0.0))]

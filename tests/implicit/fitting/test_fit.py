@@ -69,6 +69,7 @@ def test_other_activations_fit_a_sphere(activation):
     assert mean_distance(field, sphere) < 5e-3
 
 
+@pytest.mark.nightly
 def test_the_rotated_method_beats_adam_in_the_same_number_of_steps():
     """The reason for it: on the same batches it ends well below."""
     error = {method: fit_field(*samples(TORUS), steps=300, method=method)[1].value_error for method in ("soap", "adam")}
