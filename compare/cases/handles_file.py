@@ -10,7 +10,9 @@ A handle is as in HandleSpec, and as in the file of a study, whose handles are i
 
 from __future__ import annotations
 
+import json
 import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -62,3 +64,30 @@ def _handle(row: Any, number: int, path: Path) -> HandleSpec:
         return HandleSpec(**row)
     except (ValueError, TypeError) as error:
         raise InputError(f"Handle {number} in {path} makes no sense: {error}") from error
+
+
+def handles_text(handles: Sequence[HandleSpec], coordinates: str, *, digits: int = 17, remark: str = "") -> str:
+    """Return the text of a file of handles.
+
+    Args:
+        handles: In the coordinates named.
+        coordinates: "user" or "field".
+        digits: Of each number; 17 are all of them.
+        remark: To stand behind the coordinates.
+    """
+    rows = (
+        f"\n[[handles]]\nregion = {_table(h.region, digits)}\nmotion = {_table(h.motion, digits)}\n" for h in handles
+    )
+    return f'coordinates = "{coordinates}"{remark}\n' + "".join(rows)
+
+
+def _table(row: Mapping[str, Any], digits: int) -> str:
+    return "{ " + ", ".join(f"{name} = {_value(value, digits)}" for name, value in row.items()) + " }"
+
+
+def _value(value: Any, digits: int) -> str:
+    if isinstance(value, str):
+        return json.dumps(value)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_value(part, digits) for part in value)}]"
+    return repr(float(f"{value:.{digits}g}") + 0.0)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
-from compare.cases.handles import HandleSpec
+from compare.cases.handles_file import handles_text
 from compare.cases.registry import OPERATIONS
 from compare.commands import exits
 from compare.commands.checks import require_folder_for
@@ -19,6 +17,7 @@ from compare.files import replace_file
 from compare.runs.subject import check_shape
 
 DIGITS = 6
+REMARK = '   # those of the shape\'s file; or "field"'
 
 
 @dataclass
@@ -51,23 +50,6 @@ def handles(command: Handles) -> int:
     if command.output is not None:
         back = 1 / units.scale, [-x / units.scale for x in units.offset]  # the user's as seen from the field's
         found = [handle.in_field(*back) for handle in OPERATIONS["rigid"].default_handles(V, N)]
-        replace_file(command.output, _text(found).encode())
+        replace_file(command.output, handles_text(found, "user", digits=DIGITS, remark=REMARK).encode())
         print(f"{command.output}: {len(found)} handles; change them, and give them to run --handles {command.output}.")
     return exits.DONE
-
-
-def _text(found: list[HandleSpec]) -> str:
-    rows = (f"\n[[handles]]\nregion = {_table(h.region)}\nmotion = {_table(h.motion)}\n" for h in found)
-    return 'coordinates = "user"   # those of the shape\'s file; or "field"\n' + "".join(rows)
-
-
-def _table(row: Mapping[str, Any]) -> str:
-    return "{ " + ", ".join(f"{name} = {_value(value)}" for name, value in row.items()) + " }"
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, str):
-        return json.dumps(value)
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_value, value))}]"
-    return repr(float(f"{value:.{DIGITS}g}") + 0.0)

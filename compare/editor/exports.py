@@ -9,7 +9,8 @@ import implicit
 import meshref
 from compare.cases.case import BUNDLED, Case
 from compare.cases.handles import HandleSpec
-from compare.editor.history import Entry, handles_text
+from compare.cases.handles_file import handles_text
+from compare.editor.history import Entry
 from compare.editor.session import EditSession
 from compare.errors import InputError
 from compare.files import replace_file

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from compare.cases.handles import HandleSpec
+from compare.cases.handles_file import handles_text
 from compare.editor.source import Opening, Source
 from compare.editor.tools import Settings, Tool
 from compare.errors import InputError
@@ -85,24 +86,6 @@ def digest(field: Field) -> str:
     return hashlib.sha256(field.theta.detach().cpu().contiguous().view(torch.uint8).numpy().tobytes()).hexdigest()[:16]
 
 
-def handles_text(handles: Sequence[HandleSpec], coordinates: str = "field") -> str:
-    """Return the text of a file of handles, each number to its last digit."""
-    rows = (f"\n[[handles]]\nregion = {_table(h.region)}\nmotion = {_table(h.motion)}\n" for h in handles)
-    return f'coordinates = "{coordinates}"\n' + "".join(rows)
-
-
-def _table(row: Mapping[str, Any]) -> str:
-    return "{ " + ", ".join(f"{name} = {_value(value)}" for name, value in row.items()) + " }"
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, str):
-        return json.dumps(value)
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_value, value))}]"
-    return repr(float(value))
-
-
 class Folder:
     """The folder of a session.
 
@@ -145,7 +128,7 @@ class Folder:
         if entry.handles:
             path = self.path / "handles" / f"{entry.number:03d}.toml"
             path.parent.mkdir(parents=True, exist_ok=True)
-            replace_file(path, handles_text(entry.handles).encode())
+            replace_file(path, handles_text(entry.handles, "field").encode())
 
     def write(self, source: Source, entries: Sequence[Entry], position: int) -> None:
         """Write what was done, in one step, once the fields are there."""

@@ -1,5 +1,6 @@
 """One small run that the tests of this folder look at: an analytic shape, each operation, few points."""
 
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,6 +11,10 @@ import implicit
 import implicit.shapes
 from compare import Case, Record, default_cases, prepare_subject, report, run_cases
 from compare.commands.cli import main
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+FLAGS = ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking"]
+FLAGS += ["--disable-component-update", "--disable-sync"]
 
 SMALL = {"vertices": 300, "resolution": 24}
 
@@ -76,3 +81,15 @@ def small_run(small_cases: list[Case], tmp_path_factory: pytest.TempPathFactory)
     assert [r.status for r in records if r.failed] == []
     report(records, folder / "report.html")
     return SmallRun(folder, small_cases, records)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A headless Chromium, which asks no other host for anything."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if CHROMIUM is None:
+        pytest.skip("there is no Chromium on this machine")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, headless=True, args=FLAGS)
+        yield browser
+        browser.close()

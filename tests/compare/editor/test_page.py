@@ -1,7 +1,6 @@
 """The page in a headless browser: pick, drag, let go, undo and export by mouse, with nothing asked of other hosts."""
 
 import io
-import shutil
 import socket
 import threading
 from urllib.parse import urlparse
@@ -15,9 +14,6 @@ from compare.editor import EditSession, Motion, Settings, ball
 from compare.editor.worker import Worker
 
 pytest.importorskip("viser", reason="viser is not installed")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-FLAGS = ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking"]
-FLAGS += ["--disable-component-update", "--disable-sync"]
 VIEW = {"x": 0, "y": 0, "width": 520, "height": 480}  # left of the controls
 NOTICE = 170  # height of what the browser says of itself, at the upper left
 
@@ -45,17 +41,6 @@ def editor(bulb):
 def cow(tmp_path):
     """A network, whose edits are local, drawn coarsely."""
     yield from served(EditSession.open("spot", tmp_path / "cow", settings=Settings(points=250), drawn=24))
-
-
-@pytest.fixture(scope="module")
-def browser():
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if CHROMIUM is None:
-        pytest.skip("there is no Chromium on this machine")
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, headless=True, args=FLAGS)
-        yield browser
-        browser.close()
 
 
 class Hand:
