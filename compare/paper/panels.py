@@ -59,11 +59,3 @@ def colour_bar(figure: Figure, axes: Sequence[Axes], limit: float, label: str, *
     bar = figure.colorbar(colours, ax=list(axes), shrink=0.8, pad=0.01, extend="both" if beyond else "neither")
     bar.set_label(label, fontsize=7)
     bar.ax.tick_params(labelsize=6)
-
-
-def same_frame(row: Sequence[Axes]) -> None:
-    """Give one extent to all panels, so that sizes can be compared."""
-    x, y = (np.array([read(axes) for axes in row]) for read in (Axes.get_xlim, Axes.get_ylim))
-    for axes in row:
-        axes.set_xlim(x.min(), x.max())
-        axes.set_ylim(y.min(), y.max())

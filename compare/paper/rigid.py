@@ -25,11 +25,10 @@ from compare.cases.subject import Subject
 from compare.operations.operation import Outcome, Target
 from compare.operations.rigid import strain
 from compare.paper.findings import Finding
-from compare.paper.panels import same_frame
 from compare.paper.request import Request
 from compare.paper.rigidity import mesh_seconds, pulled_case, rigidity
 from compare.paper.scenes import PAPER, rigid_scene
-from compare.reports.figures import HELD, MOVED, SURFACE, paint
+from compare.reports.figures import HELD, MOVED, SURFACE, paint, same_frame
 from compare.reports.views import Camera, View
 from compare.runs.measure import measure
 from compare.runs.operations import edit_by_all, target_motion

@@ -25,9 +25,9 @@ from compare.cases.handles import HandleSpec
 from compare.cases.subject import Subject
 from compare.operations.operation import Target
 from compare.paper.findings import Finding
-from compare.paper.panels import panel, same_frame, surface_view
+from compare.paper.panels import panel, surface_view
 from compare.paper.request import Request
-from compare.reports.figures import HELD, MOVED, SURFACE, paint
+from compare.reports.figures import HELD, MOVED, SURFACE, paint, same_frame
 from compare.reports.views import Camera, View
 from compare.runs.operations import target_motion
 

@@ -14,9 +14,8 @@ from matplotlib.figure import Figure
 
 import implicit
 from compare.paper.findings import Finding
-from compare.paper.panels import same_frame
 from compare.paper.request import Request
-from compare.reports.figures import HELD, MOVED, SURFACE
+from compare.reports.figures import HELD, MOVED, SURFACE, same_frame
 from implicit import Along, Area, Ball, Edit, Field, Handle
 
 PART = "rope"

@@ -10,8 +10,9 @@ from matplotlib.figure import Figure
 import implicit
 from compare.cases.subject import Subject
 from compare.paper.findings import Finding
-from compare.paper.panels import panel, same_frame, surface_view
+from compare.paper.panels import panel, surface_view
 from compare.paper.request import Request
+from compare.reports.figures import same_frame
 from compare.reports.views import Camera, View
 from implicit import Edit, HalfSpace, Handle
 from implicit.edits.targets import SummedTargets

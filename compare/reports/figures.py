@@ -167,7 +167,7 @@ def picture(
                 draw(axes, view, _error_colours(view, colours), camera)
                 title = f"{PANES[name]}: {_headline(record, name)}"
             axes.set_title(title, fontsize=8)
-        _same_frame(row)
+        same_frame(row)
         shown = ScalarMappable(Normalize(colours.low, colours.limit), _map_of(colours))
         bar = figure.colorbar(shown, ax=list(row[1:]), shrink=0.8, pad=0.01)
         bar.set_label(_wrapped(error_label(record)), fontsize=6)
@@ -239,10 +239,9 @@ def _headline(record: Record, side: str) -> str:
     return headline.words.format(text(number(record.sides[side], column), column))
 
 
-def _same_frame(row: Sequence[Axes]) -> None:
-    """Give one extent to all panes of a row, so that sizes can be compared."""
-    x = np.array([axes.get_xlim() for axes in row])
-    y = np.array([axes.get_ylim() for axes in row])
+def same_frame(row: Sequence[Axes]) -> None:
+    """Give one extent to all panels of a row, so that sizes can be compared."""
+    x, y = (np.array([read(axes) for axes in row]) for read in (Axes.get_xlim, Axes.get_ylim))
     for axes in row:
         axes.set_xlim(x.min(), x.max())
         axes.set_ylim(y.min(), y.max())
