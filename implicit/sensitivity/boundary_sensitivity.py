@@ -21,6 +21,7 @@ from implicit.arguments import require_tensor
 from implicit.field.field import CHUNK, Field, require_field
 from implicit.field.torch_errors import in_our_words
 from implicit.sensitivity import closed_form
+from implicit.sensitivity.few_parameters import MOST, columns_of_few
 from implicit.sensitivity.point_by_point import product_by_backward_passes, rows_point_by_point, vectorised
 
 # Numbers in the largest block of B made at once, 256 MB in float64: enough rows for the symmetric product, whose
@@ -58,6 +59,9 @@ def parameter_gradient(field: Field, points: Float[Tensor, "n d"]) -> Float[Tens
     """Return df/dtheta at each point."""
     if closed_form.has_closed_form(field):
         return closed_form.gradient(field, points)
+    few = columns_of_few(field, points)
+    if few is not None:
+        return few[:, 0]
     gradient = vmap(grad(_at_one_point(field)), in_dims=(None, 0))
     rows = vectorised(field, "rows", lambda: gradient(field.theta, points))
     return rows_point_by_point(field, points)[:, 0] if rows is None else rows
@@ -67,7 +71,7 @@ def value_and_gradients(
     field: Field, points: Float[Tensor, "n d"]
 ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n d"], Float[Tensor, "n p"]]:
     """Return f, df/dx and df/dtheta at each point, by one forward and one backward pass where torch can."""
-    if not closed_form.has_closed_form(field):
+    if not closed_form.has_closed_form(field) and len(field.theta) > MOST:
         both = vmap(grad_and_value(_at_one_point(field), argnums=(0, 1)), in_dims=(None, 0))
         found = vectorised(field, "rows", lambda: both(field.theta, points))
         if found is not None:
@@ -153,6 +157,9 @@ def parameter_gradient_and_slope(field: Field, points: Float[Tensor, "n d"]) -> 
     """Return df/dtheta and, after it, its derivatives in space d(df/dtheta)/dx, (N, 1 + D, P)."""
     if closed_form.has_closed_form(field, in_space=True):
         return closed_form.gradient_and_slope(field, points)
+    few = columns_of_few(field, points, slopes=True)
+    if few is not None:
+        return few
     gradient = grad(_at_one_point(field))
 
     def one(theta: Tensor, point: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:

@@ -6,6 +6,7 @@ from torch import nn
 
 from implicit import Field, adjoint, basis, normal_displacement, sample_surface, shapes
 from implicit.sensitivity.boundary_sensitivity import parameter_gradient, parameter_gradient_and_slope
+from implicit.sensitivity.few_parameters import MOST, columns_of_few
 
 
 def motion_along_normals(field, theta, sample):
@@ -117,10 +118,11 @@ def test_a_point_without_gradient_is_refused():
 class Stubborn(nn.Module):
     """A module that vmap cannot take: it branches on its data."""
 
-    def __init__(self):
+    def __init__(self, idle: int = 0):
         super().__init__()
         self.radius = nn.Parameter(torch.tensor(0.5, dtype=torch.float64))
         self.stretch = nn.Parameter(torch.ones(3, dtype=torch.float64))
+        self.idle = nn.Parameter(torch.ones(idle, dtype=torch.float64))
 
     def forward(self, points):
         f = (points * self.stretch).norm(dim=1) - self.radius
@@ -128,16 +130,73 @@ class Stubborn(nn.Module):
 
 
 def test_a_module_that_cannot_be_vectorised_is_taken_point_by_point():
-    field = Field(Stubborn())
+    field = Field(Stubborn(idle=MOST))
     points = sample_surface(field, 5).points
     with pytest.warns(RuntimeWarning, match="one by one, which is slow"):
         rows = basis(field, points)
-    # Growing the radius moves points by 1, stretching axis i by -x_i^2 / r.
-    expected = torch.cat([torch.ones(5, 1), -(points**2) / 0.5], dim=1).double()
-    torch.testing.assert_close(rows, expected)
     with pytest.warns(RuntimeWarning, match="one by one"):
         slopes = parameter_gradient_and_slope(field, points)[:, 1:]
+    assert_rows_of_the_stretched_ball(rows, slopes, points)
+
+
+def test_a_module_of_few_parameters_need_not_be_vectorised():
+    """Nor does it take torch's compiler, which its function transforms load."""
+    field = Field(Stubborn())
+    points = sample_surface(field, 5).points
+    assert_rows_of_the_stretched_ball(basis(field, points), parameter_gradient_and_slope(field, points)[:, 1:], points)
+
+
+def assert_rows_of_the_stretched_ball(rows, slopes, points):
+    # Growing the radius moves points by 1, stretching axis i by -x_i^2 / r.
+    expected = torch.cat([torch.ones(5, 1), -(points**2) / 0.5], dim=1).double()
+    torch.testing.assert_close(rows[:, :4], expected)
     # d/dx_j of df/dstretch_i = x_i^2 / |x|: 2 x_i d_ij / r - x_i^2 x_j / r^3.
     x, r = points, 0.5
     by_hand = 2 * torch.diag_embed(x) / r - x[:, None, :] ** 2 * x[:, :, None] / r**3
-    torch.testing.assert_close(slopes[:, :, 1:], by_hand)
+    torch.testing.assert_close(slopes[:, :, 1:4], by_hand)
+    assert not rows[:, 4:].any()
+    assert not slopes[:, :, 4:].any()
+
+
+class Forgetful(torch.autograd.Function):
+    """A square whose derivative is taken for a constant."""
+
+    generate_vmap_rule = True
+
+    @staticmethod
+    def forward(x):
+        return x**2
+
+    @staticmethod
+    def setup_context(ctx, inputs, output):
+        ctx.save_for_backward(inputs[0])
+
+    @staticmethod
+    def backward(ctx, grad):
+        return (2 * ctx.saved_tensors[0] * grad).detach()
+
+
+def test_a_module_whose_second_derivatives_are_wrong_is_differentiated_once():
+    class Ball(nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.stretch = nn.Parameter(torch.ones(3, dtype=torch.float64))
+
+        def forward(self, points):
+            return Forgetful.apply(points * self.stretch).sum(dim=1) - 0.25
+
+    field = Field(Ball())
+    points = sample_surface(field, 5).points
+    assert columns_of_few(field, points) is None
+    torch.testing.assert_close(parameter_gradient(field, points), 2 * points**2)
+
+
+def test_columns_of_few_parameters_are_the_rows_of_the_function_transforms():
+    field = shapes.smooth_union(shapes.capsule(), shapes.sphere(0.25, (0.3, 0.0, 0.0)))
+    points = sample_surface(field, 20, resolution=16).points
+    one = torch.func.grad(lambda theta, point: field.function(theta, point[None])[0])
+    rows = torch.func.vmap(one, in_dims=(None, 0))(field.theta, points)
+    slopes = torch.func.vmap(torch.func.jacfwd(one, argnums=1), in_dims=(None, 0))(field.theta, points)
+    found = columns_of_few(field, points, slopes=True)
+    torch.testing.assert_close(found[:, 0], rows)
+    torch.testing.assert_close(found[:, 1:], slopes.transpose(1, 2))
