@@ -1,16 +1,19 @@
 """One small run that the tests of this folder look at: an analytic shape, each operation, few points."""
 
+import os
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 
 import implicit
 import implicit.shapes
 from compare import Case, Record, default_cases, prepare_subject, report, run_cases
 from compare.commands.cli import main
+from compare.runs.records import read
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FLAGS = ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking"]
@@ -54,11 +57,22 @@ def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
 
 
 @pytest.fixture(scope="session")
-def shape_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that the processes of these tests share: where there are several, each has one of its own within it."""
+    own = tmp_path_factory.getbasetemp()
+    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "shared"
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def shape_file(shared_folder: Path) -> Path:
     """A field in a file: a capsule with a ball on its side."""
     field = implicit.shapes.smooth_union(implicit.shapes.capsule(), implicit.shapes.sphere(0.25, (0.3, 0.0, 0.0)))
-    path = tmp_path_factory.mktemp("shapes") / "bulb.safetensors"
-    implicit.save_field(field, path)
+    path = shared_folder / "bulb.safetensors"
+    with FileLock(shared_folder / "shape.lock"):
+        if not path.exists():
+            implicit.save_field(field, path)
     return path
 
 
@@ -74,13 +88,18 @@ def small_cases(shape_file: Path) -> list[Case]:
 
 
 @pytest.fixture(scope="session")
-def small_run(small_cases: list[Case], tmp_path_factory: pytest.TempPathFactory) -> SmallRun:
-    """The cases run into a folder, with a report."""
-    folder = tmp_path_factory.mktemp("run")
-    records = run_cases(small_cases, folder=folder)
-    assert [r.status for r in records if r.failed] == []
-    report(records, folder / "report.html")
-    return SmallRun(folder, small_cases, records)
+def small_run(small_cases: list[Case], shared_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> SmallRun:
+    """The cases run into a folder, with a report: by the first process that wants it; each has a copy of its own."""
+    made = shared_folder / "run"
+    with FileLock(shared_folder / "run.lock"):
+        if not (made / "report.html").exists():
+            records = run_cases(small_cases, folder=made)
+            assert [r.status for r in records if r.failed] == []
+            report(records, made / "report.html")
+    folder = tmp_path_factory.mktemp("run") / "small"
+    shutil.copytree(made, folder)
+    by_key = {record.key: record for record in read(folder)}
+    return SmallRun(folder, small_cases, [by_key[case.key] for case in small_cases])
 
 
 @pytest.fixture(scope="module")

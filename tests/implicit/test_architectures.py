@@ -89,7 +89,14 @@ def wrong_in(row: architectures.Architecture, operation: str, found: dict[str, A
 DEAR, HELD = {"smooth, volume held"}, {"sines of our own", "ReLU", "dense grid"}
 
 # Neighbours of the table take turns in these.
-IN_TURNS = ["rigid_edit", "smooth", "semantic_edit", "extract_mesh, sample_surface"]
+IN_TURNS = [
+    "rigid_edit",
+    "smooth",
+    "semantic_edit",
+    "extract_mesh, sample_surface",
+    "fit_field from it",
+    "expressibility, geometric_edit",
+]
 
 # Of networks that differ from another of the table in their weights or their precision alone, what looks at these.
 LIKE_OTHERS = {"ReLU, older weight norm", "SIREN as published", "ELU in half precision"}

@@ -24,7 +24,6 @@ TOP = HandleSpec(
 FOOT = HandleSpec(
     {"kind": "halfspace", "point": [0, -0.4, 0], "normal": [0, -1, 0]}, {"kind": "vector", "vector": [0, 0, 0]}
 )
-FEW = {"steps": 1, "points": 60}
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +32,8 @@ def cases(tmp_path_factory):
     path = tmp_path_factory.mktemp("shapes") / "ball.safetensors"
     implicit.save_field(implicit.shapes.sphere(0.6), path)
     return [
-        Case(str(path), "rigid", (FOOT, TOP), {"implicit": {**FEW, "alpha": alpha}}, vertices, 16)
-        for vertices, alpha in ((150, 1e3), (150, 1e4), (200, 1e3))
+        Case(str(path), "geometric", (FOOT, TOP), {"implicit": {"steps": 1, "points": points}}, vertices, 16)
+        for vertices, points in ((150, 60), (150, 80), (200, 60))
     ]
 
 
