@@ -6,6 +6,7 @@ a vertex, orient neighbours alike, close holes, unite parts that overlap, turn f
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -41,6 +42,17 @@ from meshref.topology import (
     half_edges,
     vertex_components,
 )
+
+# What mending takes time for, in order, as its progress is told.
+MERGE, CLOSE, CROSSINGS, UNITE, CHOOSE = PARTS = (
+    "merging vertices",
+    "closing holes",
+    "looking for faces that pass through each other",
+    "uniting parts that overlap",
+    "telling bodies from cavities",
+)
+
+Progress = Callable[[int, int, str], None]
 
 # A part with less volume than this, relative to its area to the power 3/2 (0.094 for a ball), is flat.
 FLAT = 1e-9
@@ -88,6 +100,7 @@ def mend_mesh(
     bodies: Literal["keep", "largest", "refuse"] = "keep",
     hole_limit: float = 1.0,
     closed: bool = True,
+    progress: Progress | None = None,
 ) -> tuple[FloatArray, IntArray, MendReport]:
     """Turn a mesh into the surface of a solid: closed, manifold, oriented outwards.
 
@@ -106,6 +119,7 @@ def mend_mesh(
             area and its cavities, or "refuse".
         hole_limit: Longest boundary of a hole that is closed, in diagonals of the box round the mesh.
         closed: Whether a hole that is longer is refused; otherwise it is left open.
+        progress: Called as progress(step, steps, what) when each part of the work begins, a step.
 
     Returns:
         V, F and the report.
@@ -119,7 +133,9 @@ def mend_mesh(
     _require_options(merge_distance, bodies, hole_limit)
     steps: list[str] = []
     size = float(np.linalg.norm(V.max(axis=0) - V.min(axis=0)))
+    _tell(progress, MERGE)
     sheets = _sheets(V, F, 1e-8 * size if merge_distance is None else merge_distance, steps)
+    _tell(progress, CLOSE)
     closing = _close_holes(
         sheets.V,
         _oriented_alike(sheets.V, sheets.F),
@@ -128,7 +144,8 @@ def mend_mesh(
         closed=closed,
         drop=bodies == "largest",
     )
-    solid = _as_solid(sheets.V, closing)
+    solid = _as_solid(sheets.V, closing, progress)
+    _tell(progress, CHOOSE)
     chosen = _choose_bodies(solid, bodies)
     # A part can pass through itself along edges too, of vertices that were left apart.
     doubtful = (solid.self_intersections or sheets.left_apart) and not closing.left_open
@@ -154,6 +171,11 @@ def mend_mesh(
         hidden_area=hidden,
     )
     return V, F, report
+
+
+def _tell(progress: Progress | None, what: str) -> None:
+    if progress is not None:
+        progress(PARTS.index(what), len(PARTS), what)
 
 
 def _say_what_was_done(steps: list[str], closing: _Closing, solid: _Solid, chosen: _Chosen, hidden: float) -> None:
@@ -392,15 +414,17 @@ class _Solid(NamedTuple):
     volume_after: float = 0.0
 
 
-def _as_solid(V: FloatArray, closing: _Closing) -> _Solid:
+def _as_solid(V: FloatArray, closing: _Closing, progress: Progress | None) -> _Solid:
     """Unite parts that cross, and orient each part outwards, or inwards where it is a cavity."""
     V, F, number, unused = _drop_unused(V, closing.F, np.arange(len(V)))
+    _tell(progress, CROSSINGS)
     crossings = intersecting_faces(V, F)
     found = arrangement(V, F, crossings)
     same = len(crossings) if closing.left_open else int(np.count_nonzero(np.equal(*found.part[crossings].T)))
     to_unite = np.zeros(len(F), dtype=np.bool_)
     united = None
     if found.crosses.any() and not closing.left_open:
+        _tell(progress, UNITE)
         group = found.groups()
         to_unite = np.isin(group, group[found.crosses.any(axis=1)])[found.part]
         united = unite(V, F, found)

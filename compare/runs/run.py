@@ -29,7 +29,7 @@ from compare.runs.operations import edit_by_each, target_motion
 from compare.runs.provenance import provenance
 from compare.runs.records import Artefact, Record
 from compare.runs.rows import BetweenRow, SideRow
-from compare.runs.subject import describe, prepare_subject, saving_options
+from compare.runs.subject import describe, keep_mended, prepare_subject, saving_options
 
 
 def run_case(
@@ -222,6 +222,8 @@ def _results(
     def group_of(case: Case) -> str:
         return case.key if folder is None else case.subject_key
 
+    if folder is not None:
+        keep_mended(cases, folder)
     waiting: dict[str, list[Case]] = {}
     for case in cases:
         waiting.setdefault(group_of(case), []).append(case)
