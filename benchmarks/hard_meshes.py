@@ -16,8 +16,11 @@ import manifold3d
 import numpy as np
 
 import meshref
+from compare.fitting.fit import fit_mesh
 
 BUDGET = 300.0  # seconds for each
+
+WIDTHS = {3 * w + w + 2 * w * (w + 1) + w + 1: w for w in (32, 64, 128, 256)}  # by parameters
 
 Mesh = tuple[np.ndarray, np.ndarray]
 
@@ -41,8 +44,8 @@ def tray() -> Mesh:
 def chain() -> Mesh:
     """Three rings, each through the next."""
     V, F = meshref.torus(64, 32, major_radius=1.0, minor_radius=0.25)
-    turned = V[:, [0, 2, 1]] * [1, 1, -1]
-    rings = [V, turned + [1.4, 0, 0], V + [2.8, 0, 0]]
+    turned, step = V[:, [0, 2, 1]] * [1, 1, -1], np.array([1.4, 0, 0])
+    rings = [V, turned + step, V + 2 * step]
     return np.concatenate(rings), np.concatenate([F + k * len(V) for k in range(3)])
 
 
@@ -157,3 +160,41 @@ def _arrays(solid: Any) -> Mesh:
     target[np.asarray(mesh.merge_from_vert, dtype=np.int64)] = np.asarray(mesh.merge_to_vert, dtype=np.int64)
     used, F = np.unique(target[F], return_inverse=True)
     return V[used], F.reshape(-1, 3)
+
+
+COLUMNS = ("mesh", "faces", "network", "mean distance %", "volume %", "surfaces", "genus", "processor s", "good")
+
+
+def row(name: str, budget: float) -> tuple[str, ...]:
+    """Fit one of the meshes; return its line of the table."""
+    hard = MESHES[name]
+    V, F = hard.make()
+    start = time.process_time()
+    _, report = fit_mesh(V, F, budget=budget)
+    seconds = time.process_time() - start
+    return (
+        name,
+        f"{len(F)}",
+        f"3 x {WIDTHS.get(report.parameters, '?')}",
+        f"{100 * report.mean_distance:.3f}",
+        f"{100 * report.volume_error:+.2f}",
+        f"{report.components} ({hard.surfaces})",
+        f"{report.genus} ({hard.genus})",
+        f"{seconds:.0f}",
+        "yes" if report.good else "no",
+    )
+
+
+def main() -> None:
+    """Fit and print a row for each, as it comes."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", default=list(MESHES), help="of meshes; all by default")
+    parser.add_argument("--budget", type=float, default=BUDGET, help="seconds for each; default %(default)s")
+    arguments = parser.parse_args()
+    print("| " + " | ".join(COLUMNS) + " |\n|" + "---|" * len(COLUMNS))
+    for name in arguments.names:
+        print("| " + " | ".join(row(name, arguments.budget)) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

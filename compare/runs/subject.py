@@ -35,6 +35,11 @@ if TYPE_CHECKING:
 SPURIOUS = 1e-3
 LEAST_TRIANGLES_OF_A_CAVITY = 40
 
+# Cells along the bounds show a surface whole if twice as many change its volume by no more than this; so many are
+# enough for whatever a network of ours can hold.
+LOST_TO_CELLS = 0.05
+MOST_CELLS = 384
+
 SUBJECTS = "subjects"  # the folder of a run's subjects and mended meshes
 
 # What the refusals of meshref advise, as the options of this package.
@@ -244,10 +249,11 @@ def prepare_subject(case: Case, *, folder: Path | None = None, progress: Progres
     edited = source.to(torch.float64)
     fitted = perf_counter()
     begin(progress, "the common mesh")
-    V, F, remarks = common_mesh(edited, case.vertices, case.resolution)
+    resolution = sufficient_resolution(edited, case.resolution)
+    V, F, remarks = common_mesh(edited, case.vertices, resolution)
     N = edited.normal(torch.from_numpy(V)).numpy()
     seconds = {"field": fitted - start, "common mesh": perf_counter() - fitted}
-    subject = Subject(edited, V, F, N, (*notes, *remarks), fit, seconds)
+    subject = Subject(edited, V, F, N, (*notes, *remarks), fit, seconds, resolution)
     if files is not None:
         files.write(subject)
     return subject
@@ -272,6 +278,7 @@ class _Files:
         implicit.save_field(subject.field, self.stem.with_suffix(".safetensors"), **saving_options(self.case))
         meshref.write_mesh(self.stem.with_suffix(".ply"), subject.V, subject.F)
         row = {"notes": subject.notes, "fit": plain(subject.fit), "seconds": subject.seconds}
+        row["resolution"] = subject.resolution
         replace_file(self.stem.with_suffix(".json"), json.dumps(row).encode())
 
     def read(self) -> Subject:
@@ -284,11 +291,38 @@ class _Files:
         field = implicit.load_field(self.stem.with_suffix(".safetensors"), module=self.case.module).to(torch.float64)
         V, F = meshref.read_mesh(self.stem.with_suffix(".ply"))
         N = field.normal(torch.from_numpy(V)).numpy()
-        return Subject(field, V, F, N, tuple(row["notes"]), row["fit"], row["seconds"])
+        return Subject(field, V, F, N, tuple(row["notes"]), row["fit"], row["seconds"], row.get("resolution", 0))
 
 
 def _files_of(case: Case, folder: Path) -> _Files:
     return _Files(folder / SUBJECTS / f"{case.name}-{case.subject_key}", case)
+
+
+def sufficient_resolution(field: Field, resolution: int) -> int:
+    """Return how many cells along the bounds show a field's surface whole: so many, or up to eight times as many.
+
+    A plate thinner than a cell has holes, or is gone. It is whole where twice the cells change neither its pieces and
+    handles nor, by more than LOST_TO_CELLS, its volume.
+    """
+    import implicit
+    from implicit.surface.topology import mesh_topology
+
+    coarse = None
+    for factor in (1, 2, 4, 8):
+        try:
+            fine = implicit.extract_mesh(field, factor * resolution)
+        except implicit.SurfaceError:
+            if factor * resolution >= MOST_CELLS or factor == 8:
+                raise
+            continue  # a plate between the nodes of the grid is not seen at all
+        if coarse is not None:
+            same = mesh_topology(*coarse).same_type(mesh_topology(*fine))
+            if same and abs(1 - _enclosed(*coarse) / _enclosed(*fine)) <= LOST_TO_CELLS:
+                return factor * resolution // 2
+        if factor * resolution >= MOST_CELLS:
+            break
+        coarse = fine
+    return factor * resolution
 
 
 def common_mesh(
