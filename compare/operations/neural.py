@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from threading import Lock
 from time import perf_counter
@@ -50,6 +51,9 @@ def run_edit(
         RuntimeError: The edit lost vertices of the common mesh.
     """
     options = current_names(editor, case.parameters.get("implicit", {}))
+    finer = subject.resolution > case.resolution and _takes(editor, "resolution")
+    if finer:  # the editor would see holes where there are none
+        options["resolution"] = max(subject.resolution, options.get("resolution", 0))
     common: dict[str, Any] = {
         "track": torch.from_numpy(subject.V),
         "progress": teller(progress, f"{case.operation}, neural field"),
@@ -80,9 +84,18 @@ def run_edit(
         seconds_by_phase=_phases(edited, seconds),
         path=_path(edited, subject, seconds),
         details=details,
-        notes=[*edited.notes, *_events(edited)],
+        notes=[*edited.notes, *_events(edited), *([_finer(subject)] if finer else [])],
         estimates=_estimates(edited),
     )
+
+
+def _takes(editor: Callable[..., Edit], name: str) -> bool:
+    parameters = inspect.signature(editor).parameters
+    return name in parameters or any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values())
+
+
+def _finer(subject: Subject) -> str:
+    return f"The shape has parts thinner than a cell of the case, so the editor looked at {subject.resolution} cells."
 
 
 def _estimates(edit: Edit) -> dict[str, float]:
