@@ -106,10 +106,12 @@ def teller(bars: Bars | None, task: Any) -> Callable[[int, int, str], None]:
         bar = bars.tasks[task]
         if step < bar.completed or (step == 0 and what != doing):
             bars.reset(task, completed=0)
-        doing = what
+        begun, doing = what != doing, what
         # Until a step is done, how many there are is no measure of anything: the bar only shows that it is at work.
         bar.total = steps if step else None  # an update cannot take a total away
         bars.update(task, completed=step, description=what)
+        if begun:  # what begins may let no other thread draw until it ends
+            bars.refresh()
 
     return tell
 
