@@ -27,6 +27,7 @@ from meshref.check import (
     require_choice,
     require_positive,
 )
+from meshref.crowded import cut_apart
 from meshref.filling import least_area_triangles
 from meshref.measures import face_areas
 from meshref.printing import counted
@@ -241,13 +242,18 @@ def _sheets(V: FloatArray, F: IntArray, merge_distance: float, steps: list[str])
     _say(steps, left_apart, apart, "vertex", "vertices")
     _say(steps, welded.flat, "removed {} {} without area", "face", "faces")
     _say(steps, welded.doubled, "removed {} doubled {}", "face", "faces")
+    _say(steps, welded.walls, "removed {} {} of walls between solids", "face", "faces")
+    _say(steps, welded.copies, "cut the surface apart in edges where solids touch, at {} {}", "vertex", "vertices")
     if len(F) == 0:
         raise MeshError("no face of the mesh has area, so there is nothing to mend. Are the coordinates all the same?")
     V, F, vertex_map, left_over = _drop_unused(V, F, vertex_map)
     _say(steps, left_over, "dropped {} {} of removed faces", "vertex", "vertices")
     V, F, split = _split_pinched_vertices(V, F)
+    dropped = welded.flat + welded.doubled + welded.walls
     _say(steps, split, "separated sheets that touched in {} {}", "vertex", "vertices")
-    return _Sheets(V, F, vertex_map, welded.merged, unused + left_over, welded.flat + welded.doubled, split, left_apart)
+    return _Sheets(
+        V, F, vertex_map, welded.merged, unused + left_over, dropped, split + welded.copies, left_apart + welded.copies
+    )
 
 
 def _oriented_alike(V: FloatArray, F: IntArray) -> IntArray:
@@ -282,27 +288,40 @@ class _Weld(NamedTuple):
     merged: int  # vertices merged into others
     flat: int  # faces removed, without area
     doubled: int  # faces removed, because they were there already
+    walls: int = 0  # faces removed in pairs, for the two look opposite ways
+    copies: int = 0  # of vertices, last of those kept, where the surface was cut apart
 
 
 def _weld(V: FloatArray, F: IntArray, distance: float) -> tuple[_Weld, int]:
     """Merge close vertices and remove what this leaves of faces; return how many vertices are left apart as well.
 
     Where a closed surface touches itself along an edge, merging would make that edge one of four faces. Such
-    vertices were never torn from each other, so if it comes to that, only vertices on open edges are merged.
+    vertices were never torn from each other, so if it comes to that, only vertices on open edges are merged. Where
+    four faces meet in an edge even so, walls between two solids, there once for each, are taken away, and the surface
+    is cut apart along edges in which solids touch.
     """
     attempt = _weld_some(V, F, distance, np.arange(len(V)))
     if _crowded_edge(attempt, V) is None:
         return attempt, 0
     proper = F[~_repeats_a_corner(F)]
     table = edge_table(proper, len(V))
-    second = _weld_some(V, F, distance, np.unique(table.edges[table.faces == 1]))
+    torn = np.unique(table.edges[table.faces == 1])
+    second = _weld_some(V, F, distance, torn)
     complaint = _crowded_edge(second, V)
     if complaint is not None:
-        raise MeshError(complaint)
+        second = _weld_some(V, F, distance, torn, cancel=True)
+        if len(second.F) == 0:
+            raise MeshError(complaint)
+        if _crowded_edge(second, V) is not None:
+            cut = cut_apart(V[second.kept], second.F)
+            if cut is None:
+                raise MeshError(complaint)
+            copies = second.kept[cut[1]]
+            second = second._replace(F=cut[0], kept=np.concatenate([second.kept, copies]), copies=len(copies))
     return second, attempt.merged - second.merged
 
 
-def _weld_some(V: FloatArray, F: IntArray, distance: float, candidates: IntArray) -> _Weld:
+def _weld_some(V: FloatArray, F: IntArray, distance: float, candidates: IntArray, *, cancel: bool = False) -> _Weld:
     # Equal ones first: in a pile of k vertices there are k^2 / 2 close pairs.
     points, first, pile = np.unique(V[candidates] + 0.0, axis=0, return_index=True, return_inverse=True)
     pairs = np.zeros((0, 2), dtype=np.int64)
@@ -318,8 +337,11 @@ def _weld_some(V: FloatArray, F: IntArray, distance: float, candidates: IntArray
     kept = np.sort(earliest)  # the first of each cluster stays where it is
     new_number = np.searchsorted(kept, earliest[cluster])
     faces, flat = _drop_flat_faces(V[kept], new_number[F])
+    walls = 0
+    if cancel:
+        faces, walls = _drop_walls(faces)
     faces, doubled = _drop_doubled_faces(faces)
-    return _Weld(kept, new_number, faces, len(V) - len(kept), flat, doubled)
+    return _Weld(kept, new_number, faces, len(V) - len(kept), flat, doubled, walls)
 
 
 def _crowded_edge(weld: _Weld, V: FloatArray) -> str | None:
@@ -385,6 +407,18 @@ def _drop_flat_faces(V: FloatArray, F: IntArray) -> tuple[IntArray, int]:
 def _drop_doubled_faces(F: IntArray) -> tuple[IntArray, int]:
     _, first = np.unique(np.sort(F, axis=1), axis=0, return_index=True)
     return F[np.sort(first)], len(F) - len(first)
+
+
+def _drop_walls(F: IntArray) -> tuple[IntArray, int]:
+    """Remove faces that are there twice, looking opposite ways: they bound nothing together."""
+    _, number = np.unique(np.sort(F, axis=1), axis=0, return_inverse=True)
+    number = number.reshape(-1)
+    start = np.argmin(F, axis=1)
+    rows = np.arange(len(F))
+    forth = F[rows, (start + 1) % 3] < F[rows, (start + 2) % 3]
+    ways = [np.bincount(number[which], minlength=number.max() + 1) for which in (forth, ~forth)]
+    keep = (ways[0] != ways[1])[number]
+    return F[keep], int(np.count_nonzero(~keep))
 
 
 def _split_pinched_vertices(V: FloatArray, F: IntArray) -> tuple[FloatArray, IntArray, int]:

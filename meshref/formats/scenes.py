@@ -10,6 +10,7 @@ import importlib
 import json
 import warnings
 from collections.abc import Callable, Iterator
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -144,7 +145,7 @@ def _require_plain_objects(content: bytes) -> None:
         for name in files.namelist():
             if not name.lower().endswith(".model"):
                 continue
-            for element in _foreign(lambda name=name: ElementTree.fromstring(files.read(name))).iter():
+            for element in _foreign(partial(_elements, files, name)):
                 tag = element.tag.rpartition("}")[2]
                 built += tag == "item"
                 if tag != "object":
@@ -156,6 +157,10 @@ def _require_plain_objects(content: bytes) -> None:
                     raise DamageError(f"both {owners[number]} and {name} in it have an object {number}. Write one file")
     if built == 0:
         raise DamageError("it has no items to be built, so no shape")
+
+
+def _elements(files: ZipFile, name: str) -> list[ElementTree.Element]:
+    return list(ElementTree.fromstring(files.read(name)).iter())
 
 
 def _by_trimesh(path: Path, **options: Any) -> Any:
