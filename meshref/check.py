@@ -216,7 +216,7 @@ def intersecting_faces(V: FloatArray, F: IntArray) -> IntArray:
 
 
 def _beside(places: FloatArray, faces: IntArray, pairs: IntArray, side: float) -> BoolArray:
-    """Return which pairs of faces (k, 2) share an edge and are on the same side of it (1), or on different ones (-1)."""
+    """Return which pairs of faces (k, 2) share an edge and lie on one side of it (1), or on different ones (-1)."""
     shared = (faces[pairs[:, 0]][:, :, None] == faces[pairs[:, 1]][:, None, :]).any(axis=2).sum(axis=1) == 2
     start, end, first, second = _on_their_edge(places, faces, pairs[shared])
     normals = (np.cross(end - start, apex - start) for apex in (first, second))
