@@ -1,7 +1,7 @@
 """Make the surface of a solid out of a mesh as found in the wild, and say what was done.
 
 In this order: merge duplicate vertices, drop faces without area and doubled faces, separate sheets that touch in
-a vertex, orient neighbours alike, close holes, unite parts that overlap, turn faces outwards, choose bodies.
+an edge or a vertex, orient neighbours alike, close holes, unite parts that overlap, turn faces outwards, choose bodies.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ class MendReport:
     vertex_map: IntArray  # (n,), new number of each vertex given, -1 where it was dropped
     merged_vertices: int = 0
     dropped_vertices: int = 0  # unreferenced, or of dropped bodies
-    dropped_faces: int = 0  # without area, doubled, or of dropped bodies
-    split_vertices: int = 0  # where sheets touched in a point
+    dropped_faces: int = 0  # without area, doubled, of walls between solids, or of dropped bodies
+    split_vertices: int = 0  # where sheets touched in a point or an edge
     turned_faces: int = 0
     holes: tuple[int, ...] = ()  # number of edges of each hole that was closed
     open_holes: tuple[int, ...] = ()  # number of edges of each hole left open (closed=False)
@@ -127,7 +127,7 @@ def mend_mesh(
 
     Raises:
         MeshError: Coordinates are not finite; indices are out of range; there are no faces; more than two faces meet in
-            an edge; a surface is one-sided or flat; a hole is too long; parts that overlap cannot be united; there are
+            an edge, and solids that touch there cannot be told apart; a surface is one-sided or flat; a hole is too long; parts that overlap cannot be united; there are
             several bodies and they are refused.
     """
     V, F = as_arrays(V, F)
