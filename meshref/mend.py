@@ -127,8 +127,8 @@ def mend_mesh(
 
     Raises:
         MeshError: Coordinates are not finite; indices are out of range; there are no faces; more than two faces meet in
-            an edge, and solids that touch there cannot be told apart; a surface is one-sided or flat; a hole is too long; parts that overlap cannot be united; there are
-            several bodies and they are refused.
+            an edge, and solids that touch there cannot be told apart; a surface is one-sided or flat; a hole is too
+            long; parts that overlap cannot be united; there are several bodies and they are refused.
     """
     V, F = as_arrays(V, F)
     _require_options(merge_distance, bodies, hole_limit)

@@ -8,8 +8,11 @@ import pytest
 
 import implicit
 import meshref
+from compare import Case
+from compare.cases.subject import Subject
 from compare.fitting import fit
 from compare.fitting.fit import fit_mesh, place_in_cube
+from compare.operations.neural import run_edit
 from compare.runs.subject import common_mesh, sufficient_resolution
 from implicit import shapes
 
@@ -54,6 +57,22 @@ def test_the_common_mesh_of_a_plate_is_whole_where_the_cells_of_the_case_are_too
     assert remarks == []
     assert meshref.volume(V2, F2) == pytest.approx(meshref.volume(V, F), rel=0.1)
     assert sufficient_resolution(shapes.sphere(0.6), 32) == 32
+
+
+@pytest.mark.parametrize(("needed", "told"), [(0, 48), (32, 48), (128, 128)])
+def test_the_editors_of_a_thin_shape_look_at_as_many_cells_as_its_surface_needs(needed, told):
+    seen = []
+
+    def editor(field, *, resolution=48, track, progress, seed):
+        seen.append(resolution)
+        raise InterruptedError
+
+    V, F = meshref.icosphere(1, radius=0.6)
+    subject = Subject(shapes.sphere(0.6), V, F, V / 0.6, resolution=needed)
+    with pytest.raises(InterruptedError):
+        run_edit(editor, Case("ball", "smooth", resolution=32), subject, "none")
+    assert seen == [told]
+    assert (subject.cells(32), subject.cells(256)) == (max(needed, 32), 256)
 
 
 @pytest.mark.nightly
