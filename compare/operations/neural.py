@@ -25,6 +25,10 @@ if TYPE_CHECKING:
 # "an invalid index", so threads take turns. Processes need not.
 _FORWARD_MODE = Lock()
 
+# Cells that an editor is given at most for a thin shape: where pieces change it looks again with five times as many,
+# whose grid takes 0.8 GB of memory.
+MOST_CELLS = 96
+
 
 def run_edit(
     editor: Callable[..., Edit],
@@ -53,7 +57,7 @@ def run_edit(
     options = current_names(editor, case.parameters.get("implicit", {}))
     finer = subject.resolution > case.resolution and _takes(editor, "resolution")
     if finer:  # the editor would see holes where there are none
-        options["resolution"] = max(subject.resolution, options.get("resolution", 0))
+        options["resolution"] = max(min(subject.resolution, MOST_CELLS), options.get("resolution", 0))
     common: dict[str, Any] = {
         "track": torch.from_numpy(subject.V),
         "progress": teller(progress, f"{case.operation}, neural field"),
@@ -84,7 +88,7 @@ def run_edit(
         seconds_by_phase=_phases(edited, seconds),
         path=_path(edited, subject, seconds),
         details=details,
-        notes=[*edited.notes, *_events(edited), *([_finer(subject)] if finer else [])],
+        notes=[*edited.notes, *_events(edited), *([_finer(options["resolution"])] if finer else [])],
         estimates=_estimates(edited),
     )
 
@@ -94,8 +98,8 @@ def _takes(editor: Callable[..., Edit], name: str) -> bool:
     return name in parameters or any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values())
 
 
-def _finer(subject: Subject) -> str:
-    return f"The shape has parts thinner than a cell of the case, so the editor looked at {subject.resolution} cells."
+def _finer(cells: int) -> str:
+    return f"The shape has parts thinner than a cell of the case, so the editor looked at {cells} cells."
 
 
 def _estimates(edit: Edit) -> dict[str, float]:

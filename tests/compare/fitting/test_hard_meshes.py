@@ -68,7 +68,7 @@ def test_the_common_mesh_of_a_plate_is_whole_where_the_cells_of_the_case_are_too
     assert sufficient_resolution(shapes.sphere(0.6), 32) == 32
 
 
-@pytest.mark.parametrize(("needed", "told"), [(0, 48), (32, 48), (128, 128)])
+@pytest.mark.parametrize(("needed", "told"), [(0, 48), (32, 48), (64, 64), (256, 96)])
 def test_the_editors_of_a_thin_shape_look_at_as_many_cells_as_its_surface_needs(needed, told):
     seen = []
 
