@@ -16,7 +16,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshref.printing import counted
-from meshref.topology import FloatArray, IntArray, corner_fans, disagreeing_pairs, edge_table, vertex_components
+from meshref.topology import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    corner_fans,
+    disagreeing_pairs,
+    edge_table,
+    vertex_components,
+)
 
 # libigl finds cotangents from edge lengths (Heron), which loses everything once the height of a triangle is
 # below the square root of the rounding unit times its longest edge: it then returns nan without a word.
@@ -191,8 +199,55 @@ def intersecting_faces(V: FloatArray, F: IntArray) -> IntArray:
     """Return pairs of faces that pass through each other, (k, 2); those that only touch in corners do not count."""
     # libigl knows by the vertex numbers alone that neighbours may touch, so one place must have one number.
     places, number = np.unique(V + 0.0, axis=0, return_inverse=True)
-    pairs = igl.predicates.find_self_intersections(places, number.reshape(-1)[F].astype(np.int64))[1]
-    return np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
+    faces = number.reshape(-1)[F].astype(np.int64)
+    found = igl.predicates.find_self_intersections(places, faces)[1]
+    pairs = np.asarray(found, dtype=np.int64).reshape(-1, 2)
+    # Of two in one plane that share an edge and run along it the same way, libigl takes those on different sides of it
+    # for folded, as where two boxes touch in an edge, and not those on the same side.
+    pairs = pairs[~_beside(places, faces, pairs, -1.0)]
+    doubtful = _running_the_same_way(faces)
+    doubtful = doubtful[_beside(places, faces, doubtful, 1.0)]
+    if len(doubtful):
+        a, b, c = (np.ascontiguousarray(places[faces[doubtful[:, 0], k]]) for k in range(3))
+        _, _, _, apex = _on_their_edge(places, faces, doubtful)
+        flat = np.asarray(igl.predicates.orient3d(a, b, c, np.ascontiguousarray(apex))).reshape(-1) == 0
+        pairs = np.unique(np.sort(np.concatenate([pairs, doubtful[flat]]), axis=1), axis=0)
+    return pairs
+
+
+def _beside(places: FloatArray, faces: IntArray, pairs: IntArray, side: float) -> BoolArray:
+    """Return which pairs of faces (k, 2) share an edge and lie on one side of it (1), or on different ones (-1)."""
+    shared = (faces[pairs[:, 0]][:, :, None] == faces[pairs[:, 1]][:, None, :]).any(axis=2).sum(axis=1) == 2
+    start, end, first, second = _on_their_edge(places, faces, pairs[shared])
+    normals = (np.cross(end - start, apex - start) for apex in (first, second))
+    found = np.zeros(len(pairs), dtype=np.bool_)
+    found[shared] = side * np.multiply(*normals).sum(axis=1) > 0
+    return found
+
+
+def _on_their_edge(
+    places: FloatArray, faces: IntArray, pairs: IntArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the ends of the edge that each of the pairs (k, 2) shares, and the corner off it of both faces."""
+    A, B = faces[pairs[:, 0]], faces[pairs[:, 1]]
+    same = A[:, :, None] == B[:, None, :]
+    rows = np.arange(len(pairs))
+    a, b = np.argmin(same.any(axis=2), axis=1), np.argmin(same.any(axis=1), axis=1)
+    return places[A[rows, (a + 1) % 3]], places[A[rows, (a + 2) % 3]], places[A[rows, a]], places[B[rows, b]]
+
+
+def _running_the_same_way(faces: IntArray) -> IntArray:
+    """Return pairs of faces, (k, 2), that run along an edge in the same direction."""
+    ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
+    key = ends[:, 0] * (faces.max(initial=0) + 1) + ends[:, 1]
+    order = np.argsort(key, kind="stable")
+    pairs = []
+    for step in range(1, len(order)):
+        same = key[order[step:]] == key[order[:-step]]
+        if not same.any():
+            break
+        pairs.append(np.stack([order[:-step][same] // 3, order[step:][same] // 3], axis=1))
+    return np.concatenate([*pairs, np.zeros((0, 2), dtype=np.int64)])
 
 
 def relative_heights(V: FloatArray, F: IntArray) -> FloatArray:

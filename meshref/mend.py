@@ -1,11 +1,12 @@
 """Make the surface of a solid out of a mesh as found in the wild, and say what was done.
 
 In this order: merge duplicate vertices, drop faces without area and doubled faces, separate sheets that touch in
-a vertex, orient neighbours alike, close holes, unite parts that overlap, turn faces outwards, choose bodies.
+an edge or a vertex, orient neighbours alike, close holes, unite parts that overlap, turn faces outwards, choose bodies.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -26,6 +27,7 @@ from meshref.check import (
     require_choice,
     require_positive,
 )
+from meshref.crowded import cut_apart
 from meshref.filling import least_area_triangles
 from meshref.measures import face_areas
 from meshref.printing import counted
@@ -42,6 +44,17 @@ from meshref.topology import (
     vertex_components,
 )
 
+# What mending takes time for, in order, as its progress is told.
+MERGE, CLOSE, CROSSINGS, UNITE, CHOOSE = PARTS = (
+    "merging vertices",
+    "closing holes",
+    "looking for faces that pass through each other",
+    "uniting parts that overlap",
+    "telling bodies from cavities",
+)
+
+Progress = Callable[[int, int, str], None]
+
 # A part with less volume than this, relative to its area to the power 3/2 (0.094 for a ball), is flat.
 FLAT = 1e-9
 
@@ -54,8 +67,8 @@ class MendReport:
     vertex_map: IntArray  # (n,), new number of each vertex given, -1 where it was dropped
     merged_vertices: int = 0
     dropped_vertices: int = 0  # unreferenced, or of dropped bodies
-    dropped_faces: int = 0  # without area, doubled, or of dropped bodies
-    split_vertices: int = 0  # where sheets touched in a point
+    dropped_faces: int = 0  # without area, doubled, of walls between solids, or of dropped bodies
+    split_vertices: int = 0  # where sheets touched in a point or an edge
     turned_faces: int = 0
     holes: tuple[int, ...] = ()  # number of edges of each hole that was closed
     open_holes: tuple[int, ...] = ()  # number of edges of each hole left open (closed=False)
@@ -88,6 +101,7 @@ def mend_mesh(
     bodies: Literal["keep", "largest", "refuse"] = "keep",
     hole_limit: float = 1.0,
     closed: bool = True,
+    progress: Progress | None = None,
 ) -> tuple[FloatArray, IntArray, MendReport]:
     """Turn a mesh into the surface of a solid: closed, manifold, oriented outwards.
 
@@ -106,20 +120,23 @@ def mend_mesh(
             area and its cavities, or "refuse".
         hole_limit: Longest boundary of a hole that is closed, in diagonals of the box round the mesh.
         closed: Whether a hole that is longer is refused; otherwise it is left open.
+        progress: Called as progress(step, steps, what) when each part of the work begins, a step.
 
     Returns:
         V, F and the report.
 
     Raises:
         MeshError: Coordinates are not finite; indices are out of range; there are no faces; more than two faces meet in
-            an edge; a surface is one-sided or flat; a hole is too long; parts that overlap cannot be united; there are
-            several bodies and they are refused.
+            an edge, and solids that touch there cannot be told apart; a surface is one-sided or flat; a hole is too
+            long; parts that overlap cannot be united; there are several bodies and they are refused.
     """
     V, F = as_arrays(V, F)
     _require_options(merge_distance, bodies, hole_limit)
     steps: list[str] = []
     size = float(np.linalg.norm(V.max(axis=0) - V.min(axis=0)))
+    _tell(progress, MERGE)
     sheets = _sheets(V, F, 1e-8 * size if merge_distance is None else merge_distance, steps)
+    _tell(progress, CLOSE)
     closing = _close_holes(
         sheets.V,
         _oriented_alike(sheets.V, sheets.F),
@@ -128,7 +145,8 @@ def mend_mesh(
         closed=closed,
         drop=bodies == "largest",
     )
-    solid = _as_solid(sheets.V, closing)
+    solid = _as_solid(sheets.V, closing, progress)
+    _tell(progress, CHOOSE)
     chosen = _choose_bodies(solid, bodies)
     # A part can pass through itself along edges too, of vertices that were left apart.
     doubtful = (solid.self_intersections or sheets.left_apart) and not closing.left_open
@@ -154,6 +172,11 @@ def mend_mesh(
         hidden_area=hidden,
     )
     return V, F, report
+
+
+def _tell(progress: Progress | None, what: str) -> None:
+    if progress is not None:
+        progress(PARTS.index(what), len(PARTS), what)
 
 
 def _say_what_was_done(steps: list[str], closing: _Closing, solid: _Solid, chosen: _Chosen, hidden: float) -> None:
@@ -219,13 +242,18 @@ def _sheets(V: FloatArray, F: IntArray, merge_distance: float, steps: list[str])
     _say(steps, left_apart, apart, "vertex", "vertices")
     _say(steps, welded.flat, "removed {} {} without area", "face", "faces")
     _say(steps, welded.doubled, "removed {} doubled {}", "face", "faces")
+    _say(steps, welded.walls, "removed {} {} of walls between solids", "face", "faces")
+    _say(steps, welded.copies, "cut the surface apart in edges where solids touch, at {} {}", "vertex", "vertices")
     if len(F) == 0:
         raise MeshError("no face of the mesh has area, so there is nothing to mend. Are the coordinates all the same?")
     V, F, vertex_map, left_over = _drop_unused(V, F, vertex_map)
     _say(steps, left_over, "dropped {} {} of removed faces", "vertex", "vertices")
     V, F, split = _split_pinched_vertices(V, F)
+    dropped = welded.flat + welded.doubled + welded.walls
     _say(steps, split, "separated sheets that touched in {} {}", "vertex", "vertices")
-    return _Sheets(V, F, vertex_map, welded.merged, unused + left_over, welded.flat + welded.doubled, split, left_apart)
+    return _Sheets(
+        V, F, vertex_map, welded.merged, unused + left_over, dropped, split + welded.copies, left_apart + welded.copies
+    )
 
 
 def _oriented_alike(V: FloatArray, F: IntArray) -> IntArray:
@@ -260,27 +288,40 @@ class _Weld(NamedTuple):
     merged: int  # vertices merged into others
     flat: int  # faces removed, without area
     doubled: int  # faces removed, because they were there already
+    walls: int = 0  # faces removed in pairs, for the two look opposite ways
+    copies: int = 0  # of vertices, last of those kept, where the surface was cut apart
 
 
 def _weld(V: FloatArray, F: IntArray, distance: float) -> tuple[_Weld, int]:
     """Merge close vertices and remove what this leaves of faces; return how many vertices are left apart as well.
 
     Where a closed surface touches itself along an edge, merging would make that edge one of four faces. Such
-    vertices were never torn from each other, so if it comes to that, only vertices on open edges are merged.
+    vertices were never torn from each other, so if it comes to that, only vertices on open edges are merged. Where
+    four faces meet in an edge even so, walls between two solids, there once for each, are taken away, and the surface
+    is cut apart along edges in which solids touch.
     """
     attempt = _weld_some(V, F, distance, np.arange(len(V)))
     if _crowded_edge(attempt, V) is None:
         return attempt, 0
     proper = F[~_repeats_a_corner(F)]
     table = edge_table(proper, len(V))
-    second = _weld_some(V, F, distance, np.unique(table.edges[table.faces == 1]))
+    torn = np.unique(table.edges[table.faces == 1])
+    second = _weld_some(V, F, distance, torn)
     complaint = _crowded_edge(second, V)
     if complaint is not None:
-        raise MeshError(complaint)
+        second = _weld_some(V, F, distance, torn, cancel=True)
+        if len(second.F) == 0:
+            raise MeshError(complaint)
+        if _crowded_edge(second, V) is not None:
+            cut = cut_apart(V[second.kept], second.F)
+            if cut is None:
+                raise MeshError(complaint)
+            copies = second.kept[cut[1]]
+            second = second._replace(F=cut[0], kept=np.concatenate([second.kept, copies]), copies=len(copies))
     return second, attempt.merged - second.merged
 
 
-def _weld_some(V: FloatArray, F: IntArray, distance: float, candidates: IntArray) -> _Weld:
+def _weld_some(V: FloatArray, F: IntArray, distance: float, candidates: IntArray, *, cancel: bool = False) -> _Weld:
     # Equal ones first: in a pile of k vertices there are k^2 / 2 close pairs.
     points, first, pile = np.unique(V[candidates] + 0.0, axis=0, return_index=True, return_inverse=True)
     pairs = np.zeros((0, 2), dtype=np.int64)
@@ -296,8 +337,11 @@ def _weld_some(V: FloatArray, F: IntArray, distance: float, candidates: IntArray
     kept = np.sort(earliest)  # the first of each cluster stays where it is
     new_number = np.searchsorted(kept, earliest[cluster])
     faces, flat = _drop_flat_faces(V[kept], new_number[F])
+    walls = 0
+    if cancel:
+        faces, walls = _drop_walls(faces)
     faces, doubled = _drop_doubled_faces(faces)
-    return _Weld(kept, new_number, faces, len(V) - len(kept), flat, doubled)
+    return _Weld(kept, new_number, faces, len(V) - len(kept), flat, doubled, walls)
 
 
 def _crowded_edge(weld: _Weld, V: FloatArray) -> str | None:
@@ -365,6 +409,18 @@ def _drop_doubled_faces(F: IntArray) -> tuple[IntArray, int]:
     return F[np.sort(first)], len(F) - len(first)
 
 
+def _drop_walls(F: IntArray) -> tuple[IntArray, int]:
+    """Remove faces that are there twice, looking opposite ways: they bound nothing together."""
+    _, number = np.unique(np.sort(F, axis=1), axis=0, return_inverse=True)
+    number = number.reshape(-1)
+    start = np.argmin(F, axis=1)
+    rows = np.arange(len(F))
+    forth = F[rows, (start + 1) % 3] < F[rows, (start + 2) % 3]
+    ways = [np.bincount(number[which], minlength=number.max() + 1) for which in (forth, ~forth)]
+    keep = (ways[0] != ways[1])[number]
+    return F[keep], int(np.count_nonzero(~keep))
+
+
 def _split_pinched_vertices(V: FloatArray, F: IntArray) -> tuple[FloatArray, IntArray, int]:
     fans, fan = corner_fans(F, edge_table(F, len(V)))
     owner = np.zeros(fans, dtype=np.int64)
@@ -392,15 +448,17 @@ class _Solid(NamedTuple):
     volume_after: float = 0.0
 
 
-def _as_solid(V: FloatArray, closing: _Closing) -> _Solid:
+def _as_solid(V: FloatArray, closing: _Closing, progress: Progress | None) -> _Solid:
     """Unite parts that cross, and orient each part outwards, or inwards where it is a cavity."""
     V, F, number, unused = _drop_unused(V, closing.F, np.arange(len(V)))
+    _tell(progress, CROSSINGS)
     crossings = intersecting_faces(V, F)
     found = arrangement(V, F, crossings)
     same = len(crossings) if closing.left_open else int(np.count_nonzero(np.equal(*found.part[crossings].T)))
     to_unite = np.zeros(len(F), dtype=np.bool_)
     united = None
     if found.crosses.any() and not closing.left_open:
+        _tell(progress, UNITE)
         group = found.groups()
         to_unite = np.isin(group, group[found.crosses.any(axis=1)])[found.part]
         united = unite(V, F, found)

@@ -25,6 +25,7 @@ class Subject:
     notes: tuple[str, ...] = ()  # sentences: what was mended, what the fit says of itself
     fit: Mapping[str, Any] | None = None
     seconds: Mapping[str, float] = default(default_factory=dict)
+    resolution: int = 0  # cells along the bounds at which the field's surface is whole, where the case's are too few
 
     def __repr__(self) -> str:
         """Return the sizes of field and mesh in one line."""
@@ -33,6 +34,10 @@ class Subject:
             f"Subject(field of {self.field.theta.numel()} parameters, common mesh of {len(self.V)} vertices and "
             f"{len(self.F)} faces, scale {self.scale:.6g}{fit}, {len(self.notes)} notes)"
         )
+
+    def cells(self, resolution: int) -> int:
+        """Return the cells to extract the surface with, where a case has so many: these, or as many as it needs."""
+        return max(resolution, self.resolution)
 
     @property
     def scale(self) -> float:

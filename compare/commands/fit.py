@@ -70,7 +70,9 @@ def fit(command: Fit) -> int:
     say = speaker(command.quiet)
     mending = Mending(command.bodies, command.hole_limit)
     require_hole_limit(command.hole_limit)
-    say_mending(say, [str(command.mesh)], lambda name: check_shape(name, None, mending))
+    say_mending(
+        say, [str(command.mesh)], lambda name, tell: check_shape(name, None, mending, progress=tell), command.quiet
+    )
 
     import implicit
     import meshref

@@ -35,7 +35,7 @@ from compare.reports.table import FILE as TABLE, write_table
 from compare.runs.executors import WorkerDiedError, executor_of
 from compare.runs.lock import lock
 from compare.runs.records import FILE, Record, read
-from compare.runs.subject import check_shape, modules_of, prepare_subject, require_file
+from compare.runs.subject import check_shape, keep_mended, modules_of, prepare_subject, require_file
 
 if TYPE_CHECKING:
     OperationName = str
@@ -99,7 +99,13 @@ def run(command: Run) -> int:
     require_budget(command.budget)
     own = None if command.handles is None else _own_handles(command)
     mending = Mending(command.bodies, command.hole_limit)
-    mended = say_mending(say, command.shapes, lambda name: check_shape(name, modules[name], mending))
+
+    kept = folder if command.resume else None
+
+    def check(name: str, tell: Progress | None) -> list[str]:
+        return check_shape(name, modules[name], mending, folder=kept, progress=tell)
+
+    mended = say_mending(say, command.shapes, check, command.quiet)
 
     folder.mkdir(parents=True, exist_ok=True)
     with (
@@ -171,6 +177,8 @@ def _cases(
     settings: dict[str, Any] = {"seed": command.seed, **(QUICK_SIZE if command.quick else {})}
     # What decides the subject is the same for all cases of a shape.
     any_case = {name: case_of_subject(name, fit, **settings, module=modules[name]) for name in command.shapes}
+    if executor is not None:
+        keep_mended(any_case.values(), folder)
     waiting = {
         name: executor.submit(_surface, case, folder.absolute())
         for name, case in any_case.items()

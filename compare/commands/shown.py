@@ -9,6 +9,7 @@ from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from compare.errors import Progress as ShapeProgress
 from compare.runs.records import Record
 
 if TYPE_CHECKING:
@@ -30,14 +31,30 @@ def speaker(quiet: bool, *, to_stderr: bool = False) -> Callable[[str], None]:
     return say
 
 
-def say_mending(say: Callable[[str], None], shapes: Sequence[str], check: Callable[[str], list[str]]) -> list[str]:
-    """Check shapes, say what is mended of each, and return what was said; large meshes are named before."""
+def say_mending(
+    say: Callable[[str], None],
+    shapes: Sequence[str],
+    check: Callable[[str, ShapeProgress | None], list[str]],
+    quiet: bool,
+) -> list[str]:
+    """Check shapes, say what is mended of each, and return what was said; large meshes are named before, with a bar.
+
+    Args:
+        say: What says a sentence.
+        shapes: Their names.
+        check: Called as check(name, progress) for each.
+        quiet: Whether no bars are to be shown.
+    """
     said = []
     for name in shapes:
         path = Path(name)
         if path.is_file() and path.stat().st_size > LARGE_FILE:
             say(f"{name}: reading and mending {path.stat().st_size / 1e6:.0f} MB.")
-        for sentence in check(name):
+            with progress_bars(quiet) as bars:
+                sentences = check(name, teller(bars, add_task(bars, path.name, None)))
+        else:
+            sentences = check(name, None)
+        for sentence in sentences:
             say(sentence)
             said.append(sentence)
     return said
@@ -89,10 +106,12 @@ def teller(bars: Bars | None, task: Any) -> Callable[[int, int, str], None]:
         bar = bars.tasks[task]
         if step < bar.completed or (step == 0 and what != doing):
             bars.reset(task, completed=0)
-        doing = what
+        begun, doing = what != doing, what
         # Until a step is done, how many there are is no measure of anything: the bar only shows that it is at work.
         bar.total = steps if step else None  # an update cannot take a total away
         bars.update(task, completed=step, description=what)
+        if begun:  # what begins may let no other thread draw until it ends
+            bars.refresh()
 
     return tell
 

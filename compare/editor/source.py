@@ -127,7 +127,7 @@ def _of_mesh(shape: str, opening: Opening, progress: Progress | None) -> Source:
     from compare.fitting.fit import fit_mesh
 
     mending = Mending(**{name: opening.fit[name] for name in ("bodies", "hole_limit") if name in opening.fit})
-    V, F, notes = load_mesh(shape, mending)
+    V, F, notes = load_mesh(shape, mending, progress=progress)
 
     def tell(step: int, steps: int, _: Any) -> None:
         if progress is not None:

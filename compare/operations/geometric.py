@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
+from scipy.spatial import cKDTree
 
 from compare.cases.case import Case
 from compare.cases.handles import HandleSpec, rounded
@@ -28,6 +29,12 @@ from compare.operations.operation import (
     Target,
     normal_part,
 )
+
+# A bump is on a flank if normals within so much of the longest side agree with its own, by the mean cosine; of other
+# places, so many are looked at.
+AS_WIDE_AS = 0.15
+LEAST_AGREEMENT = 0.5
+CANDIDATES = 400
 
 
 class Geometric(Operation):
@@ -113,10 +120,22 @@ def _biharmonic(case: Case, subject: Subject, target: Target, progress: Progress
 
 
 def _flank(V: Float[ndarray, "n 3"], N: Float[ndarray, "n 3"], across: int) -> int:
-    """Return the vertex nearest the middle of the side that faces along the thinnest axis."""
+    """Return the vertex nearest the middle of the side that faces along the thinnest axis, or of another flat side.
+
+    Where only a corner faces that way, as of a tetrahedron, a bump there would be a spike.
+    """
     facing = np.flatnonzero(N[:, across] > 0.8)
     if facing.size == 0:  # no part of the surface faces that way, e.g. a coarse mesh of a knife's edge
-        return int(np.argmax(V[:, across]))
-    offset = V[facing] - V.mean(axis=0)
-    offset[:, across] *= 0.1  # the middle as seen from that side; between sheets, the outer one is not favoured
-    return int(facing[np.argmin((offset**2).sum(axis=1))])
+        found = int(np.argmax(V[:, across]))
+    else:
+        offset = V[facing] - V.mean(axis=0)
+        offset[:, across] *= 0.1  # the middle as seen from that side; between sheets, the outer one is not favoured
+        found = int(facing[np.argmin((offset**2).sum(axis=1))])
+    candidates = np.linspace(0, len(V) - 1, min(len(V), CANDIDATES)).astype(np.int64)
+    near = cKDTree(V).query_ball_point(V[[found, *candidates]], AS_WIDE_AS * float(np.ptp(V, axis=0).max()))
+    cosines = [N[round_it] @ N[k] for k, round_it in zip([found, *candidates], near)]
+    agreement = np.array([cosine[cosine > -0.8].mean() for cosine in cosines])  # the back of a plate is no corner
+    if agreement[0] >= LEAST_AGREEMENT or agreement[1:].max() < LEAST_AGREEMENT:
+        return found
+    flat = candidates[agreement[1:] >= agreement[1:].max() - 0.02]
+    return int(flat[np.argmin(((V[flat] - V.mean(axis=0)) ** 2).sum(axis=1))])

@@ -29,7 +29,7 @@ from compare.runs.operations import edit_by_each, target_motion
 from compare.runs.provenance import provenance
 from compare.runs.records import Artefact, Record
 from compare.runs.rows import BetweenRow, SideRow
-from compare.runs.subject import describe, prepare_subject, saving_options
+from compare.runs.subject import describe, keep_mended, prepare_subject, saving_options
 
 
 def run_case(
@@ -127,7 +127,7 @@ def _edited_surface(
     field = sides["implicit"].field
     assert field is not None
     try:
-        surface = implicit.extract_mesh(field, case.resolution)
+        surface = implicit.extract_mesh(field, subject.cells(case.resolution))
         return surface, Edited(measure_field(subject, field), meshref.component_count(*surface))
     except implicit.SurfaceError as error:
         if "mesh" not in sides:
@@ -222,6 +222,8 @@ def _results(
     def group_of(case: Case) -> str:
         return case.key if folder is None else case.subject_key
 
+    if folder is not None:
+        keep_mended(cases, folder)
     waiting: dict[str, list[Case]] = {}
     for case in cases:
         waiting.setdefault(group_of(case), []).append(case)
@@ -273,7 +275,7 @@ def _remarks(case: Case, subject: Subject, sides: Mapping[str, Outcome], rows: M
     remarks += [f"{what}, {SIDES.get(name, name)}: {note}" for name, side in sides.items() for note in side.notes]
     if "implicit" in sides:
         # Of the field, which may have crumbs that the common mesh is without.
-        before = meshref.component_count(*implicit.extract_mesh(subject.field, case.resolution))
+        before = meshref.component_count(*implicit.extract_mesh(subject.field, subject.cells(case.resolution)))
         after = rows["implicit"].bodies
         if before != after:
             remarks.append(

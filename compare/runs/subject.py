@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import difflib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
@@ -34,6 +35,14 @@ if TYPE_CHECKING:
 SPURIOUS = 1e-3
 LEAST_TRIANGLES_OF_A_CAVITY = 40
 
+# Cells along the bounds show a surface whole if twice as many change its volume by no more than this over their square,
+# a part of it: 5 % of 32, 0.5 % of 96. That of flat triangles falls so, and is 1 to 2 % of 32 for the bundled shapes.
+# More cells than the last show nothing that our networks could hold.
+LOST_TO_CELLS = 50.0
+MOST_CELLS = 384
+
+SUBJECTS = "subjects"  # the folder of a run's subjects and mended meshes
+
 # What the refusals of meshref advise, as the options of this package.
 AS_OPTIONS = {
     "Raise hole_limit to close it, or pass closed=False to leave it open.": (
@@ -49,13 +58,22 @@ AS_OPTIONS = {
 }
 
 
-def check_shape(shape: str, module: str | None = None, mending: Mending | None = None) -> list[str]:
+def check_shape(
+    shape: str,
+    module: str | None = None,
+    mending: Mending | None = None,
+    *,
+    folder: Path | None = None,
+    progress: Progress | None = None,
+) -> list[str]:
     """Refuse a shape that cannot be used, before any work; return what will be mended, in sentences.
 
     Args:
         shape: As for Case.
         module: As for Case; its code is run.
         mending: How a mesh is made solid; by default one body, holes up to a diagonal of its box.
+        folder: A run folder; its mended mesh is taken from there if it is there already.
+        progress: Called as progress(step, steps, what) while a mesh is mended.
 
     Raises:
         InputError: There is no such shape or file, or the mesh is beyond mending.
@@ -73,7 +91,8 @@ def check_shape(shape: str, module: str | None = None, mending: Mending | None =
         if loaded.dimension != 3:
             raise InputError(f"{shape} holds a field in {loaded.dimension} dimensions, but a comparison needs 3.")
         return []
-    return load_mesh(shape, mending)[2]
+    there = None if folder is None or not folder.is_dir() else folder
+    return load_mesh(shape, mending, folder=there, progress=progress)[2]
 
 
 def modules_of(shapes: Sequence[str], module: str | None) -> dict[str, str | None]:
@@ -138,13 +157,15 @@ def require_file(shape: str) -> str | None:
 
 
 def load_mesh(
-    path: str, mending: Mending | None = None
+    path: str, mending: Mending | None = None, *, folder: Path | None = None, progress: Progress | None = None
 ) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "m 3"], list[str]]:
     """Return the closed, outward mesh in a file, and what was mended, in sentences.
 
     Args:
         path: The file.
         mending: How it is made solid; by default one body, holes up to a diagonal of its box.
+        folder: A run folder; the mended mesh is kept there under its `subjects/`, for other processes.
+        progress: Called as progress(step, steps, what) when each part of the mending begins.
 
     Raises:
         InputError: It cannot be read or mended, or holds several bodies that are refused.
@@ -152,7 +173,8 @@ def load_mesh(
     import meshref
 
     try:
-        V, F, report = read_mended(path, mending or Mending())
+        kept = None if folder is None else folder / SUBJECTS
+        V, F, report = read_mended(path, mending or Mending(), folder=kept, progress=naming(progress, Path(path).stem))
     except meshref.MeshError as error:
         sentence = str(error)
         for library, here in AS_OPTIONS.items():
@@ -169,6 +191,22 @@ def mending_of(fit: Mapping[str, Any]) -> Mending:
 def mending_of_settings(settings: Mapping[str, Any]) -> Mending:
     """Return the same from settings by their dotted names, as a study has them."""
     return mending_of({name.removeprefix("fit."): value for name, value in settings.items() if name.startswith("fit.")})
+
+
+def keep_mended(cases: Iterable[Case], folder: Path) -> None:
+    """Mend the meshes of cases that have no subject yet, and keep them in a run folder, for processes that need them.
+
+    A mesh that cannot be mended is left to its cases, whose records say why.
+    """
+    seen = set()
+    for case in cases:
+        options = case.parameters.get("fit", {})
+        if Path(case.shape).suffix.lower() not in MESH_SUFFIXES or (case.shape, repr(options)) in seen:
+            continue
+        seen.add((case.shape, repr(options)))
+        with suppress(InputError, OSError):
+            if not _files_of(case, folder).complete:
+                load_mesh(case.shape, mending_of(options), folder=folder)
 
 
 def prepare_subject(case: Case, *, folder: Path | None = None, progress: Progress | None = None) -> Subject:
@@ -196,7 +234,7 @@ def prepare_subject(case: Case, *, folder: Path | None = None, progress: Progres
             "is run because a file names it. If you trust that code, name it: dataclasses.replace(case, "
             f"module={str(case.module)!r}), or --module on the command line."
         )
-    files = None if folder is None else _Files(folder / "subjects" / f"{case.name}-{case.subject_key}", case)
+    files = None if folder is None else _files_of(case, folder)
     if files is not None and files.complete:
         return files.read()
     progress = naming(progress, case.name)
@@ -208,14 +246,15 @@ def prepare_subject(case: Case, *, folder: Path | None = None, progress: Progres
     elif Path(case.shape).suffix.lower() == FIELD_SUFFIX:
         source = implicit.load_field(case.shape, module=case.module)
     else:
-        source, fit, notes = _fit(case, progress)
+        source, fit, notes = _fit(case, folder, progress)
     edited = source.to(torch.float64)
     fitted = perf_counter()
     begin(progress, "the common mesh")
-    V, F, remarks = common_mesh(edited, case.vertices, case.resolution)
+    resolution = sufficient_resolution(edited, case.resolution)
+    V, F, remarks = common_mesh(edited, case.vertices, resolution)
     N = edited.normal(torch.from_numpy(V)).numpy()
     seconds = {"field": fitted - start, "common mesh": perf_counter() - fitted}
-    subject = Subject(edited, V, F, N, (*notes, *remarks), fit, seconds)
+    subject = Subject(edited, V, F, N, (*notes, *remarks), fit, seconds, resolution)
     if files is not None:
         files.write(subject)
     return subject
@@ -240,6 +279,7 @@ class _Files:
         implicit.save_field(subject.field, self.stem.with_suffix(".safetensors"), **saving_options(self.case))
         meshref.write_mesh(self.stem.with_suffix(".ply"), subject.V, subject.F)
         row = {"notes": subject.notes, "fit": plain(subject.fit), "seconds": subject.seconds}
+        row["resolution"] = subject.resolution
         replace_file(self.stem.with_suffix(".json"), json.dumps(row).encode())
 
     def read(self) -> Subject:
@@ -252,7 +292,39 @@ class _Files:
         field = implicit.load_field(self.stem.with_suffix(".safetensors"), module=self.case.module).to(torch.float64)
         V, F = meshref.read_mesh(self.stem.with_suffix(".ply"))
         N = field.normal(torch.from_numpy(V)).numpy()
-        return Subject(field, V, F, N, tuple(row["notes"]), row["fit"], row["seconds"])
+        return Subject(field, V, F, N, tuple(row["notes"]), row["fit"], row["seconds"], row.get("resolution", 0))
+
+
+def _files_of(case: Case, folder: Path) -> _Files:
+    return _Files(folder / SUBJECTS / f"{case.name}-{case.subject_key}", case)
+
+
+def sufficient_resolution(field: Field, resolution: int) -> int:
+    """Return how many cells along the bounds show a field's surface whole: so many, or up to eight times as many.
+
+    A plate thinner than a cell has holes, or is gone. It is whole where twice the cells change neither its pieces and
+    handles nor, by more than LOST_TO_CELLS says, its volume.
+    """
+    import implicit
+    from implicit.surface.topology import mesh_topology
+
+    coarse = None
+    for factor in (1, 2, 4, 8):
+        try:
+            fine = implicit.extract_mesh(field, factor * resolution)
+        except implicit.SurfaceError:
+            if factor * resolution >= MOST_CELLS or factor == 8:
+                raise
+            continue  # a plate between the nodes of the grid is not seen at all
+        if coarse is not None:
+            same = mesh_topology(*coarse).same_type(mesh_topology(*fine))
+            cells = factor * resolution // 2
+            if same and abs(1 - _enclosed(*coarse) / _enclosed(*fine)) <= LOST_TO_CELLS / cells**2:
+                return cells
+        if factor * resolution >= MOST_CELLS:
+            break
+        coarse = fine
+    return factor * resolution
 
 
 def common_mesh(
@@ -329,7 +401,7 @@ def _area(V: Float[ndarray, "n 3"], F: Int[ndarray, "m 3"]) -> float:
     return float(np.linalg.norm(np.cross(V[F[:, 1]] - V[F[:, 0]], V[F[:, 2]] - V[F[:, 0]]), axis=1).sum() / 2)
 
 
-def _fit(case: Case, progress: Progress | None) -> tuple[Field, dict[str, Any], list[str]]:
+def _fit(case: Case, folder: Path | None, progress: Progress | None) -> tuple[Field, dict[str, Any], list[str]]:
     from compare.fitting.fit import fit_mesh
 
     options = case.parameters.get("fit", {})
@@ -338,7 +410,7 @@ def _fit(case: Case, progress: Progress | None) -> tuple[Field, dict[str, Any], 
         raise InputError(
             "A comparison needs one body, but the case keeps several. Take bodies='largest' or 'refuse' for its fit."
         )
-    V, F, notes = load_mesh(case.shape, mending)
+    V, F, notes = load_mesh(case.shape, mending, folder=folder, progress=progress)
 
     def tell(step: int, steps: int, _: Any) -> None:
         if progress is not None:

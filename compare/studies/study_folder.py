@@ -97,8 +97,10 @@ def run_study(
     folder = Path(folder)
     require_folder_of(study, folder)
     modules = modules_of(study.shapes, module)
+    kept = folder if (folder / STUDY_FILE).is_file() else None
     for shape in study.shapes:
-        check_shape(shape, modules[shape], mending_of_settings(study.settings))
+        mending = mending_of_settings(study.settings)
+        check_shape(shape, modules[shape], mending, folder=kept, progress=progress)
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with lock(folder):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TypeAlias
 
 import numpy as np
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 from meshref.formats.polygons import triangulated
 from meshref.formats.text import DamageError
 from meshref.topology import FloatArray, IntArray
+
+# In a line of its own, which may end as on any system.
+END_OF_HEADER = re.compile(rb"(?:\r\n|\n|\r)[ \t]*end_header[ \t]*(?:\r\n|\n|\r)")
 
 TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
@@ -27,12 +31,11 @@ def read(content: bytes) -> tuple[FloatArray, IntArray]:
     """Return vertices and triangles of a file's content."""
     if not content.startswith(b"ply"):
         raise DamageError("it must begin with the word ply")
-    end = content.find(b"end_header")
-    body_at = content.find(b"\n", end) + 1
-    if end < 0 or body_at == 0:
+    end = END_OF_HEADER.search(content)
+    if end is None:
         raise DamageError("its header does not end")
-    encoding, elements = _header(content[:end].decode("latin-1"))
-    body = content[body_at:]
+    encoding, elements = _header(content[: end.start()])
+    body = content[end.end() :]
     if encoding == "ascii":
         source: Ascii | Binary = Ascii(body)
     else:
@@ -77,10 +80,10 @@ def _strips(corners: list[int]) -> IntArray:
     return F[whole & (np.roll(F, 1, axis=1) != F).all(axis=1)]  # strips turn corners by triangles without area
 
 
-def _header(header: str) -> tuple[str, list[tuple[str, int, list[Property]]]]:
+def _header(header: bytes) -> tuple[str, list[tuple[str, int, list[Property]]]]:
     encoding = ""
     elements: list[tuple[str, int, list[Property]]] = []
-    for line, text in enumerate(header.splitlines(), start=1):
+    for line, text in enumerate((row.decode("latin-1") for row in header.splitlines()), start=1):
         words = text.split()
         try:
             if words[:1] == ["format"]:

@@ -147,16 +147,36 @@ def _avoid_edges(V: FloatArray, of_size: OfSize, triangles: dict[int, IntArray])
     crowded = edges[np.bincount(number.reshape(-1)) > 2]
     if not crowded.size:
         return
+    first = {size: _first_alike(corners) for size, (_, corners) in of_size.items()}
+    alone = {size: same == np.arange(len(same)) for size, same in first.items()}
     count: Counter[tuple[int, int]] = Counter()
-    for k in keys.values():
-        count.update(zip((k.ravel() // n).tolist(), (k.ravel() % n).tolist()))
+    for size, every in keys.items():
+        k = every[alone[size]].ravel()
+        count.update(zip((k // n).tolist(), (k % n).tolist()))
     for size, (_, corners) in of_size.items():
-        for i in np.flatnonzero(np.isin(keys[size], crowded).any(axis=1)).tolist() if size > 3 else []:
+        if size == 3:
+            continue
+        for i in np.flatnonzero(np.isin(keys[size], crowded).any(axis=1) & alone[size]).tolist():
             own = _diagonals(triangles[size][i], corners[i])
             count.subtract(dict.fromkeys(own, 2))  # each lies in two triangles of the polygon
             if any(count[edge] > 0 for edge in own):
                 triangles[size][i] = _least_area(V, corners[i], {edge for edge in count if count[edge] > 0})
             count.update(dict.fromkeys(_diagonals(triangles[size][i], corners[i]), 2))
+        for i in np.flatnonzero(~alone[size]).tolist():  # a doubled polygon has the triangles of its first
+            j = int(first[size][i])
+            turned = corners[i][(np.flatnonzero(corners[i] == corners[j][0])[0] + 1) % size] != corners[j][1]
+            triangles[size][i] = triangles[size][j][:, ::-1] if turned else triangles[size][j]
+
+
+def _first_alike(corners: IntArray) -> IntArray:
+    """Return for each of the polygons (k, c) the first one that goes round the same corners, either way, (k,)."""
+    c = corners.shape[1]
+    start = (np.argmin(corners, axis=1)[:, None] + np.arange(c)) % c
+    forth = np.take_along_axis(corners, start, axis=1)
+    back = np.concatenate([forth[:, :1], forth[:, :0:-1]], axis=1)
+    least = np.where((forth[:, 1] <= forth[:, -1])[:, None], forth, back)
+    _, first, of = np.unique(least, axis=0, return_index=True, return_inverse=True)
+    return np.asarray(first[of.reshape(-1)], dtype=np.int64)
 
 
 def _edge_keys(triangles: IntArray, n: int) -> IntArray:

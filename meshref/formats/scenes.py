@@ -10,8 +10,12 @@ import importlib
 import json
 import warnings
 from collections.abc import Callable, Iterator
+from functools import partial
+from io import BytesIO
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
+from zipfile import ZipFile
 
 import numpy as np
 
@@ -38,6 +42,7 @@ def read_gltf(path: Path, content: bytes) -> Part:
 def read_3mf(path: Path, content: bytes) -> Part:
     """Return vertices and triangles of all objects of a .3mf, where its build puts them."""
     _require("lxml", ".3mf")
+    _require_plain_objects(content)
     return _joined(_placed(_by_trimesh(path)))
 
 
@@ -45,6 +50,8 @@ def read_dae(path: Path, content: bytes) -> Part:
     """Return vertices and triangles of all geometries of a .dae, where its scene puts them."""
     _require("lxml", ".dae")
     collada: Any = _require("collada", ".dae")
+    if b"<ph>" in content:  # which the reader leaves out
+        raise DamageError("it has polygons with holes in them. Write triangles")
     scene = _foreign(lambda: collada.Collada(str(path)).scene)
     if scene is None:
         raise DamageError("it holds no scene that says where its geometries are")
@@ -64,15 +71,21 @@ def written_glb(V: FloatArray, F: IntArray, colours: FloatArray | None) -> bytes
 
 
 def _collada_parts(scene: Any) -> Iterator[Part]:
+    if next(iter(scene.objects("controller")), None) is not None:
+        raise DamageError("a skeleton or targets move its geometries. Apply their pose and write it without")
     for geometry in scene.objects("geometry"):
+        mirrored = np.linalg.det(np.asarray(geometry.matrix, dtype=np.float64)[:3, :3]) < 0
         for primitive in geometry.primitives():
             corners = np.asarray(getattr(primitive, "vertex_index", ()))
             V = np.asarray(primitive.vertex, dtype=np.float64)
             if hasattr(primitive, "polyindex"):
                 flat = corners.ravel().tolist()
-                yield V, triangulated(V, [flat[start:end] for start, end in np.asarray(primitive.polyindex).tolist()])
-            elif corners.ndim == 2 and corners.shape[1] == 3:  # or else lines and points
-                yield V, corners.astype(np.int64)
+                F = triangulated(V, [flat[start:end] for start, end in np.asarray(primitive.polyindex).tolist()])
+            elif corners.ndim == 2 and corners.shape[1] == 3:
+                F = corners.astype(np.int64)
+            else:
+                continue  # lines and points
+            yield V, F[:, ::-1] if mirrored else F  # a mirror turns faces round
 
 
 def _header(content: bytes) -> dict[str, Any]:
@@ -95,6 +108,7 @@ def _require_plain(header: dict[str, Any]) -> int:
     accessors = header.get("accessors", [])
     count = 0
     try:
+        _require_at_rest(header)
         for primitive in (p for mesh in header.get("meshes", []) for p in mesh["primitives"]):
             mode, position = primitive.get("mode", TRIANGLES), accessors[primitive["attributes"]["POSITION"]]
             if mode not in (TRIANGLES, STRIP):
@@ -109,6 +123,44 @@ def _require_plain(header: dict[str, Any]) -> int:
     except (KeyError, IndexError, TypeError, AttributeError):
         raise DamageError("its description names parts that are not there") from None
     return count
+
+
+def _require_at_rest(header: dict[str, Any]) -> None:
+    """Refuse glTF whose meshes are elsewhere than their coordinates and their nodes say."""
+    nodes = [node for node in header.get("nodes", []) if "mesh" in node]
+    if any("skin" in node for node in nodes):
+        raise DamageError("a skeleton moves its meshes. Apply its pose and write it without")
+    if any(any(owner.get("weights", ())) for owner in (*nodes, *header.get("meshes", []))):
+        raise DamageError("targets move its meshes (morphing). Apply them and write it without")
+    if any("EXT_mesh_gpu_instancing" in node.get("extensions", {}) for node in nodes):
+        raise DamageError("its nodes are repeated by EXT_mesh_gpu_instancing. Write each as a node of its own")
+
+
+def _require_plain_objects(content: bytes) -> None:
+    """Refuse a .3mf that has objects which are no part of the shape, or in several files under one number, which the
+    reader takes for each other."""
+    owners: dict[str, str] = {}
+    built = 0
+    with _foreign(lambda: ZipFile(BytesIO(content))) as files:
+        for name in files.namelist():
+            if not name.lower().endswith(".model"):
+                continue
+            for element in _foreign(partial(_elements, files, name)):
+                tag = element.tag.rpartition("}")[2]
+                built += tag == "item"
+                if tag != "object":
+                    continue
+                kind, number = element.get("type", "model"), element.get("id", "")
+                if kind != "model":
+                    raise DamageError(f"its object {number} is of the type {kind}. Write the model alone")
+                if owners.setdefault(number, name) != name:
+                    raise DamageError(f"both {owners[number]} and {name} in it have an object {number}. Write one file")
+    if built == 0:
+        raise DamageError("it has no items to be built, so no shape")
+
+
+def _elements(files: ZipFile, name: str) -> list[ElementTree.Element]:
+    return list(ElementTree.fromstring(files.read(name)).iter())
 
 
 def _by_trimesh(path: Path, **options: Any) -> Any:

@@ -22,7 +22,9 @@ def read(content: bytes) -> tuple[FloatArray, IntArray]:
     elif content.lstrip()[:5].lower() == b"solid":
         return merge_equal(*_facets(content))
     else:
-        raise DamageError(f"it has {len(content)} bytes, which fits neither text nor binary. Was it cut short")
+        raise DamageError(
+            f"it has {len(content)} bytes, which fits neither text nor binary, as if it had been cut short"
+        )
     return merge_equal(corners, np.arange(len(corners)).reshape(-1, 3))
 
 
@@ -41,7 +43,9 @@ def _facets(content: bytes) -> tuple[FloatArray, IntArray]:
             if ends[-1] - ([0, *ends][-2]) < 3:
                 raise DamageError(f"line {line} ends a facet with less than 3 corners")
     if len(points) != (ends[-1] if ends else 0):
-        raise DamageError(f"it has {len(points)} corners, and the last ones make no whole facet. Was it cut short")
+        raise DamageError(
+            f"it has {len(points)} corners, and the last ones make no whole facet, as if it had been cut short"
+        )
     V = np.array(points, dtype=np.float64).reshape(-1, 3)
     return V, triangulated(V, [list(range(*span)) for span in zip([0, *ends], ends)])
 

@@ -19,8 +19,9 @@ def lines_of(content: bytes, continued: str | None = None) -> Iterator[tuple[int
         continued: What ends a line that goes on in the next, if anything does.
     """
     words: list[str] = []
-    for number, line in enumerate(content.decode("latin-1").splitlines(), start=1):
-        text = line.split("#", 1)[0].rstrip()
+    # As bytes: in a text, the second byte of the letter Å would end a line too.
+    for number, line in enumerate(content.splitlines(), start=1):
+        text = line.split(b"#", 1)[0].decode("latin-1").rstrip()
         goes_on = continued is not None and text.endswith(continued)
         words += (text[: -len(continued)] if goes_on and continued else text).split()
         if words and not goes_on:

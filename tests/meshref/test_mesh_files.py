@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+import zipfile
 
 import numpy as np
 import pytest
@@ -105,6 +106,33 @@ def test_binary_ply_of_mixed_polygons(tmp_path, order):
     V, F = read_mesh(tmp_path / "mesh.ply")
     np.testing.assert_array_equal(V, points)
     np.testing.assert_array_equal(F, [[0, 1, 2], [0, 2, 3], [1, 4, 2]])
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_lines_of_a_ply_end_as_on_any_system_and_comments_may_name_its_end(tmp_path, end):
+    """The first coordinate is a byte of 13 and three of 10: a line that ends in one of them ends there."""
+    lines = ["ply", "format binary_little_endian 1.0", "comment before end_header stands this", "element vertex 3"]
+    lines += [f"property float {x}" for x in "xyz"]
+    lines += ["element face 1", "property list uchar int vertex_indices", "end_header", ""]
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype="<f4")
+    points[0, 0] = np.frombuffer(b"\x0d\x0a\x0a\x0a", dtype="<f4")[0]
+    faces = bytes([3]) + np.array([0, 1, 2], dtype="<i4").tobytes()
+    (tmp_path / "mesh.ply").write_bytes(end.join(lines).encode() + points.tobytes() + faces)
+    V, F = read_mesh(tmp_path / "mesh.ply")
+    np.testing.assert_array_equal(V, points)
+    np.testing.assert_array_equal(F, [[0, 1, 2]])
+
+
+@pytest.mark.parametrize("kind", ["off", "obj", "stl_ascii"])
+def test_letters_of_two_bytes_end_no_line(tmp_path, kind):
+    """The second byte of an Å ends a line where a text in latin-1 is split: what follows would be read as numbers."""
+    V, F = box()
+    content = trimesh.Trimesh(V, F, process=False).export(file_type=kind)
+    before = {"off": "OFF\n# by Å 8 6 0\n", "obj": "g Å f 1 2 3\n", "stl_ascii": "solid Å vertex 9 9 9\n"}[kind]
+    text = before + (content.removeprefix("OFF\n") if kind == "off" else content.removeprefix("solid \n"))
+    path = tmp_path / f"a.{kind[:3]}"
+    path.write_text(text, encoding="utf-8")
+    assert volume(*read_mesh(path)) == pytest.approx(1)
 
 
 PLY = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
@@ -294,6 +322,10 @@ def test_scenes_are_read_with_every_mesh_in_its_place(tmp_path, suffix):
     np.testing.assert_allclose(V.max(axis=0), [5, 1, 1], atol=1e-6)
 
 
+def _node_of_a_mesh(header):
+    return next(node for node in header["nodes"] if "mesh" in node)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -302,6 +334,9 @@ def test_scenes_are_read_with_every_mesh_in_its_place(tmp_path, suffix):
         (lambda header: header["meshes"][0]["primitives"][0].update(mode=6), "mode 6"),
         (lambda header: header["meshes"][0].pop("primitives"), "parts that are not there"),
         (lambda header: header.update(buffers=[]), "its reader says IndexError"),
+        (lambda header: _node_of_a_mesh(header).update(skin=0), "a skeleton moves its meshes"),
+        (lambda header: header["meshes"][0].update(weights=[0.0, 0.5]), "targets move its meshes"),
+        (lambda header: _node_of_a_mesh(header).update(extensions={"EXT_mesh_gpu_instancing": {}}), "are repeated by"),
     ],
 )
 def test_what_would_be_read_wrong_of_a_gltf_is_refused(tmp_path, change, message):
@@ -335,6 +370,66 @@ def test_a_dae_of_darts_has_its_volume(tmp_path):
     check_mesh(V, F, closed=True)
     assert volume(V, F) == pytest.approx(6, rel=1e-6)
     assert V[:, 0].min() == pytest.approx(9)
+
+
+def test_a_mirrored_node_of_a_dae_turns_its_faces_round(tmp_path):
+    """Two overlapping copies of which one is mirrored: as they look they are one solid, without a hollow."""
+    pytest.importorskip("collada", reason="pycollada is not installed")
+    mirrored = DAE.replace("<translate>9 0 0</translate>", "<scale>-1 1 1</scale>")
+    (tmp_path / "dart.dae").write_text(mirrored)
+    V, F = read_mesh(tmp_path / "dart.dae")
+    assert volume(V, F) == pytest.approx(6, rel=1e-6)
+
+
+SKIN = """<library_controllers><controller id="c"><skin source="#g"><source id="j"><Name_array id="ja" count="1">b
+</Name_array><technique_common><accessor source="#ja" count="1" stride="1"><param name="JOINT" type="name"/></accessor>
+</technique_common></source><source id="i"><float_array id="ia" count="16">1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1</float_array>
+<technique_common><accessor source="#ia" count="1" stride="16"><param name="T" type="float4x4"/></accessor>
+</technique_common></source><source id="w"><float_array id="wa" count="1">1</float_array><technique_common>
+<accessor source="#wa" count="1" stride="1"><param name="W" type="float"/></accessor></technique_common></source>
+<joints><input semantic="JOINT" source="#j"/><input semantic="INV_BIND_MATRIX" source="#i"/></joints>
+<vertex_weights count="8"><input semantic="JOINT" source="#j" offset="0"/>
+<input semantic="WEIGHT" source="#w" offset="1"/><vcount>1 1 1 1 1 1 1 1</vcount><v>0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0</v>
+</vertex_weights></skin></controller></library_controllers><library_visual_scenes>"""
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (DAE.replace("<p>3", "<ph><p>3"), "polygons with holes"),
+        (
+            DAE.replace("<library_visual_scenes>", SKIN).replace(
+                "</node>", '</node><node><instance_controller url="#c"/></node>'
+            ),
+            "a skeleton or targets move",
+        ),
+    ],
+)
+def test_what_the_reader_of_dae_leaves_out_is_refused(tmp_path, content, message):
+    pytest.importorskip("collada", reason="pycollada is not installed")
+    (tmp_path / "a.dae").write_text(content)
+    with pytest.raises(MeshError, match=message):
+        read_mesh(tmp_path / "a.dae")
+
+
+THREE_MF = '<model xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02"><resources>{}</resources></model>'
+
+
+@pytest.mark.parametrize(
+    ("files", "message"),
+    [
+        ({"a.model": '<object id="1"/><object id="2" type="support"/>'}, "object 2 is of the type support"),
+        ({"a.model": '<object id="1"/>', "b.model": '<object id="1"/>'}, "both .*a.model and .*b.model.* object 1"),
+        ({"a.model": '<object id="1"/>'}, "no items to be built"),
+    ],
+)
+def test_objects_that_the_reader_of_3mf_takes_for_the_shape_are_refused(tmp_path, files, message):
+    pytest.importorskip("lxml", reason="lxml is not installed")
+    with zipfile.ZipFile(tmp_path / "a.3mf", "w") as file:
+        for name, objects in files.items():
+            file.writestr(f"3D/{name}", THREE_MF.format(objects))
+    with pytest.raises(MeshError, match=message):
+        read_mesh(tmp_path / "a.3mf")
 
 
 @pytest.mark.parametrize("suffix", ["3mf", "dae"])

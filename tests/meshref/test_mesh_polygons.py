@@ -89,6 +89,15 @@ def test_a_quad_that_shares_three_corners_with_a_neighbour_is_split_otherwise():
     assert [set(face) for face in F[:2].tolist()] in ([{0, 1, 3}, {1, 2, 3}], [{0, 1, 2}, {0, 2, 3}])
 
 
+def test_polygons_that_are_there_twice_have_the_same_triangles_whichever_way_they_go_round():
+    """With another diagonal for the second, each edge would have four faces and nothing could be dropped."""
+    V, polygons = prism(np.array([[0, 0], [1, 0], [1, 1], [0, 1]]))
+    again = [np.roll(polygon[::-1] if k % 2 else polygon, k).tolist() for k, polygon in enumerate(polygons)]
+    V, F, report = mend_mesh(V, triangulated(V, [*polygons, *again]))
+    assert volume(V, F) == pytest.approx(1, rel=1e-14)
+    assert report.dropped_faces == 12
+
+
 def test_a_diagonal_that_is_a_side_of_another_polygon_is_not_taken():
     V = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.9, 0.1, 1]], dtype=float)
     F = triangulated(V, [[0, 1, 2, 3], [0, 2, 4]])

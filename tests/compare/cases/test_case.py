@@ -72,6 +72,18 @@ def test_the_default_bump_sits_on_the_middle_of_the_thin_side():
     np.testing.assert_allclose(case.handles[0].region["center"], [0.3, 0, 0], atol=0.05)
 
 
+def test_the_default_bump_sits_on_a_face_of_a_tetrahedron_and_on_no_corner():
+    """No face looks along an axis but the three that look back: of what looks forward most, a corner is first."""
+    V, F = np.array([[0, 0, 0], [1.5, 0, 0], [0, 1.45, 0], [0, 0, 1.6]]), [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+    sample = meshref.sample_mesh(V, np.array(F), 1500)
+    (case,) = default_cases("spot", sample.points, sample.normals, operations=("geometric",))
+    center = np.array(case.handles[0].region["center"])
+    assert np.linalg.norm(V - center, axis=1).min() > 0.4
+    plate = sample.points * [1, 1, 1e-3]  # whose back looks the other way, and is no corner
+    (case,) = default_cases("spot", plate, np.sign(plate[:, 2:] - 5e-4) * [0, 0, 1.0], operations=("geometric",))
+    assert case.handles[0].region["center"][2] > 5e-4
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [

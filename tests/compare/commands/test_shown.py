@@ -5,14 +5,18 @@ import shutil
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from rich.progress import Progress
 
+import meshref
+from compare.commands import shown
 from compare.commands.run import Run
 from compare.commands.run_settings import finished_records, keep_settings
 from compare.commands.shown import print_markdown, print_table, teller
 from compare.reports.table import write_table
 from compare.runs.run import run_case
+from compare.runs.subject import check_shape
 
 
 def test_the_clock_of_a_bar_begins_anew_with_each_thing_and_is_at_work_until_a_step_is_done():
@@ -45,6 +49,21 @@ def test_progress_names_the_shape_the_edit_and_each_side_before_its_first_step(s
     assert [f"bulb, geometric, {name}" for name in ("neural", "mesh", "biharmonic")] == begun[1:4]
     assert all(what.startswith("bulb, ") for _, what in said)
     assert len(record.sides) == 3
+
+
+def test_a_bar_names_what_is_done_while_a_large_mesh_is_mended(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(shown, "LARGE_FILE", 10_000)
+    told, sentences = [], []
+    monkeypatch.setattr(shown, "teller", lambda *_: lambda step, steps, what: told.append((step, what)))
+    names = [str(tmp_path / "small.ply"), str(tmp_path / "large.ply")]
+    meshref.write_mesh(names[0], *meshref.icosphere(1))
+    V, F = meshref.icosphere(4)
+    meshref.write_mesh(names[1], np.concatenate([V, V + 0.5]), np.concatenate([F, F + len(V)]))
+    said = shown.say_mending(sentences.append, names, lambda name, tell: check_shape(name, progress=tell), quiet=False)
+    assert sentences[0].endswith("large.ply: reading and mending 0 MB.")
+    assert sentences[1:] == said
+    assert [what for _, what in told] == [f"large, {what}" for what in ("reading", *meshref.mend.PARTS)]
+    assert [step for step, _ in told] == [0, *range(5)]
 
 
 @pytest.mark.parametrize("width", ["60", "80", "200"])

@@ -1,12 +1,14 @@
 """A mesh is mended once, however often it is asked for, and two overlapping balls are united before they are fitted."""
 
 import os
+from concurrent.futures import Executor, Future
 
 import numpy as np
 import pytest
 from nasty_solids import figure_of_eight
 
 import meshref
+from compare import Case, run_cases
 from compare.fitting import mending
 from compare.fitting.fit import fit_mesh
 from compare.fitting.mending import Mending, mended, read_mended
@@ -37,6 +39,55 @@ def test_a_file_is_mended_once_for_a_command_and_its_fit(counted, tmp_path):
     _, fitted = fit_mesh(V, F, steps=2, bodies="refuse")
     assert fitted.mended == ()
     assert counted == [len(F)]
+
+
+def test_other_processes_take_the_mended_mesh_from_the_run_folder(counted, tmp_path):
+    """A process that comes later remembers nothing: its memory is emptied here."""
+    path, folder = tmp_path / "a.ply", tmp_path / "run"
+    V, F = meshref.torus(24, 16, 0.6, 0.25)
+    V[:4] += [5.0, 0.0, 0.0]
+    V, F = np.concatenate([meshref.icosphere(1)[0], V + 0.3]), np.concatenate([meshref.icosphere(1)[1], F + 42])
+    meshref.write_mesh(path, V, F)
+    first = read_mended(path, Mending("keep"), folder=folder)
+    assert [file.suffix for file in folder.iterdir()] == [".npz"]
+    mending._REMEMBERED.clear()
+    again = read_mended(path, Mending("keep"), folder=folder)
+    assert len(counted) == 1
+    np.testing.assert_array_equal(again[0], first[0])
+    np.testing.assert_array_equal(again[1], first[1])
+    np.testing.assert_array_equal(again[2].vertex_map, first[2].vertex_map)
+    assert repr(again[2]) == repr(first[2])
+    assert again[2].united_parts == first[2].united_parts
+    mended(again[0], again[1], Mending("keep"))  # as its fit asks for it
+    assert len(counted) == 1
+    next(folder.iterdir()).write_bytes(b"cut short")
+    mending._REMEMBERED.clear()
+    read_mended(path, Mending("keep"), folder=folder)
+    meshref.write_mesh(path, 2 * V, F)
+    twice = read_mended(path, Mending("keep"), folder=folder)
+    assert len(counted) == 3
+    np.testing.assert_allclose(twice[0], 2 * first[0])
+
+
+def test_the_meshes_of_cases_are_mended_here_before_they_go_to_other_processes(counted, tmp_path):
+    V, F = meshref.torus(24, 16, 0.6, 0.25)
+    meshref.write_mesh(tmp_path / "a.ply", V, F)
+    (tmp_path / "b.ply").write_text("ply, but broken")
+    seeds = [Case(str(tmp_path / name), "smooth", seed=seed) for name in ("a.ply", "b.ply") for seed in (0, 1)]
+    kept = []
+
+    class Elsewhere(Executor):
+        def submit(self, function, /, *arguments):
+            kept.append([file.name for file in (tmp_path / "run" / "subjects").iterdir()])
+            never = Future()
+            never.set_exception(RuntimeError("not run"))
+            return never
+
+    records = run_cases(seeds, Elsewhere(), folder=tmp_path / "run", on_failure="record")
+    assert all(record.failed for record in records)
+    assert counted == [len(F)]
+    assert len(kept) == 4
+    assert all(len(names) == 1 and names[0].endswith("-mended.npz") for names in kept)
 
 
 def test_a_file_that_has_changed_and_other_choices_are_mended_anew(counted, tmp_path):
