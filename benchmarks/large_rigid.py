@@ -173,7 +173,8 @@ def _of_file(
     if folder is None:
         raise SystemExit(f"{name} is not bundled: name its folder by --meshes.")
     path = str(folder / name)
-    subject = prepare_subject(Case(path, "smooth"), folder=CACHE)
+    parameters: dict[str, Any] = {}
+    subject = prepare_subject(Case(path, "smooth", parameters=parameters), folder=CACHE)
     still = {"kind": "vector", "vector": [0.0, 0.0, 0.0]}
     units = subject.field.units
     handles = tuple(
