@@ -95,7 +95,7 @@ LEAST_ENERGY = 1e-9
 # Firmness of the inside over that of the surface where it is filled, the softest that holds; angle of a stage, in
 # radians, and most iterations of each: these are not a first guess alone, for who strays passes through.
 FILLINGS = (1.0, 10.0)
-FILLED_ANGLE = 0.7
+FILLED_ANGLE = 0.35
 FILLED_ITERATIONS = 60
 
 # Part of the points' surface inside another part of it that is told of.

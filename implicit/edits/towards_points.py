@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import torch
@@ -48,8 +48,12 @@ OFF_SURFACE_POINTS = 1000
 FIRST_DAMPING, LEAST_DAMPING, ALLOWED = 1e-6, 3e-8, 3.0
 
 # Normal matrices that are made at most, steps that one of them serves, and the part of the energy before that a step is
-# to leave at most for another of its kind to be tried.
+# to leave at most for another of its kind to be tried. Of wide fields, which can hold what is asked, more are made.
 MATRICES, STEPS, LEFT = 4, 3, 0.85
+MATRICES_OF_WIDE = 16
+
+# Factor by which the damping goes up where a step has raised the energy, and down after each matrix.
+HARDER = {False: 10.0, True: 4.0}
 
 # Part of the energy before that a matrix is to leave at most for another one to be made.
 WORTH = 0.95
@@ -126,7 +130,8 @@ def nearer(operation: TowardsPoints, field: Field, enough: float) -> tuple[Field
     """Return a field with less strain between its surface and the goals, and how many steps it took.
 
     The steps are those of `operation` with one normal matrix for several, and none of them raises the energy. With more
-    parameters than MOST nothing is done.
+    parameters than MOST it is the matrix of the products of the equations; where a field's rows are not known by their
+    factors and are too many to be made, nothing is done.
 
     Args:
         operation: Where the surface is to be.
@@ -134,8 +139,8 @@ def nearer(operation: TowardsPoints, field: Field, enough: float) -> tuple[Field
         enough: Energy at which no more steps are taken.
     """
     left, taken, damping = operation.left(field), 0, operation.firmness * FIRST_DAMPING
-    energy = left.energy()
-    for number in range(MATRICES):
+    energy, wide = left.energy(), len(field.theta) > MOST
+    for number in range(MATRICES_OF_WIDE if wide else MATRICES):
         system, begun = None, energy
         if energy > enough:
             system = _system(operation, field, left, operation.seed + number)
@@ -146,7 +151,7 @@ def nearer(operation: TowardsPoints, field: Field, enough: float) -> tuple[Field
             tried = None if step is None else field.with_theta(field.theta + step)
             after = None if tried is None else operation.left(tried)
             if tried is None or after is None or not after.energy() < energy:
-                damping *= 10
+                damping *= HARDER[wide]
                 continue
             stalled = after.energy() > LEFT * energy
             field, left, energy, taken = tried, after, after.energy(), taken + 1
@@ -154,7 +159,7 @@ def nearer(operation: TowardsPoints, field: Field, enough: float) -> tuple[Field
                 break
         if energy > WORTH * begun:
             break
-        damping = max(damping / 10, LEAST_DAMPING)
+        damping = max(damping / HARDER[wide], LEAST_DAMPING)
     return field, taken
 
 
@@ -209,7 +214,7 @@ class _Normal:
     def step(self, left: RigidityTarget, damping: float) -> Float[Tensor, " p"] | None:
         """Return the change of the parameters, in float64; None where it cannot be told."""
         bent = torch.from_numpy(left.metric @ left.gaps.cpu().numpy()).to(self.rows)
-        found = _solved(self.matrix, damping, self.rows.T @ bent + self.away)
+        found = _solved(self.matrix, damping, self.rows.T @ bent + self.away, np.float64)
         return None if found is None else found.to(left.gaps)
 
 
@@ -221,7 +226,7 @@ class _Products:
     the step of least |A d_theta - b|^2 + damping |d_theta|^2 is A^T (A A^T + damping)^-1 b.
 
     Attributes:
-        matrix: Lower triangle of A A^T (N, N), in float64.
+        matrix: A A^T (N, N), in single precision.
         rows: Motion of the vertices along their normals, and change of the field off the surface by the root of its
             weight, by each parameter (N, P), in single precision.
         factor: U of the metric at the first of the steps (V, V).
@@ -244,17 +249,18 @@ class _Products:
             products = rows.gram()
         else:
             rows = parameter_gradient(field, everywhere).mul_(scale[:, None])
-            products = gram(rows).double()
-        whole = (products.tril() + products.tril(-1).T).cpu().numpy()
-        V = len(points)
-        whole[:V] = left.factor @ whole[:V]
-        whole[:, :V] = (left.factor @ whole[:, :V].T).T
+            products = gram(rows)
+        lower = products.float().cpu().tril()
+        whole = (lower + lower.tril(-1).T).numpy()
+        V, U = len(points), left.factor.astype(np.float32)
+        whole[:V] = U @ whole[:V]
+        whole[:, :V] = (U @ np.ascontiguousarray(whole[:, :V].T)).T
         return cls(torch.from_numpy(whole), rows, left.factor, (roots * target.target).double().cpu())
 
     def step(self, left: RigidityTarget, damping: float) -> Float[Tensor, " p"] | None:
         """Return the change of the parameters, in float64; None where it cannot be told."""
         bent = torch.from_numpy(self.factor @ left.gaps.double().cpu().numpy())
-        found = _solved(self.matrix, damping, torch.cat([bent, self.away]))
+        found = _solved(self.matrix, damping, torch.cat([bent, self.away]), np.float32)
         if found is None:
             return None
         V = self.factor.shape[0]
@@ -264,13 +270,16 @@ class _Products:
         return self.rows.transposed_times(shares.to(self.rows.theta)).to(left.gaps)
 
 
-def _solved(matrix: Float[Tensor, "n n"], damping: float, right: Float[Tensor, " n"]) -> Float[Tensor, " n"] | None:
+def _solved(
+    matrix: Float[Tensor, "n n"], damping: float, right: Float[Tensor, " n"], dtype: type[np.floating[Any]]
+) -> Float[Tensor, " n"] | None:
     """Return the solution with a symmetric matrix, of which the lower triangle counts, damped relative to its trace."""
-    lower = matrix.double().cpu().numpy().copy()
+    lower = matrix.cpu().numpy().astype(dtype)
     lower[np.diag_indices_from(lower)] += damping * np.trace(lower)
+    factored, solve = lapack.get_lapack_funcs(("potrf", "potrs"), (lower,))
     # The triangle below the diagonal is the upper one of the Fortran-ordered view.
-    factor, failed = lapack.dpotrf(lower.T, lower=0, overwrite_a=1)
+    factor, failed = factored(lower.T, lower=0, overwrite_a=1)
     if failed:
         return None
-    found, failed = lapack.dpotrs(factor, right.double().cpu().numpy(), lower=0)
-    return None if failed or not np.isfinite(found).all() else torch.from_numpy(found)
+    found, failed = solve(factor, right.cpu().numpy().astype(dtype), lower=0)
+    return None if failed or not np.isfinite(found).all() else torch.from_numpy(found).double()
