@@ -10,7 +10,7 @@ import argparse
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import gettempdir
 from typing import Any
@@ -27,11 +27,22 @@ from compare.cases.subject import Subject
 from compare.paper.rigid_bends import BAR, STAGES, arap_way, turning_handles
 from compare.runs.operations import target_motion
 from compare.runs.subject import prepare_subject
-from implicit.step.local_global import Hold, LocalGlobal
+from implicit.step.enclosed_volume import EnclosedVolume
+from implicit.step.filled import Filled
+from implicit.step.local_global import STAGE_ITERATIONS, Hold, LocalGlobal
 from implicit.step.spokes_and_rims import SpokesAndRims
 
 CACHE = Path(gettempdir()) / "implicit-vs-mesh-large-rigid"  # of fits
+WIDTH = 32  # of the networks, unless told
 CELLS = 128  # at which the edited surface is extracted and its pieces are counted
+
+
+@dataclass(frozen=True)
+class Meshes:
+    """Where meshes are that are not bundled, and how wide the networks are that are fitted to them and to bars."""
+
+    folder: Path | None
+    width: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,12 +54,14 @@ class Scene:
         case: Its handles.
         subject: The field and its common mesh.
         stages: Parts of ARAP's way.
+        firmness: Of what fills the inside of the mesh where the volume is held; 0 leaves it out.
     """
 
     name: str
     case: Case
     subject: Subject
     stages: int
+    firmness: float = 0.0
 
     def handles(self) -> list[implicit.Handle]:
         return [spec.build() for spec in self.case.handles]
@@ -64,17 +77,28 @@ class Scene:
         V, F = self.subject.V, self.subject.F
         held = target_motion(self.case, self.subject).at
         way = arap_way(self.subject, self.case, self.stages)
+        shell = SpokesAndRims(V, F)
+        energy = Filled.of(self.subject.field.to(torch.float64), shell, self.firmness) if self.firmness else shell
+        start, inner = energy.vertices, len(energy.vertices) - len(V)
 
         def places(fraction: float) -> np.ndarray:
-            goal = V.copy()
-            goal[held] = way[max(round(fraction * self.stages), 1) - 1]
+            goal = start.copy()
+            goal[np.flatnonzero(held)] = way[max(round(fraction * self.stages), 1) - 1]
             return goal
 
-        energy = SpokesAndRims(V, F)
-        solver = LocalGlobal(energy, Hold(held, np.zeros(len(V))))
-        volume = solver.volume.value(V)
-        found = solver.minimum(places, V, stages=self.stages, tolerance=1e-6, iterations=2000, volume=volume)
-        return found.positions, found.energy
+        solver = LocalGlobal(
+            energy, Hold(np.pad(held, (0, inner)), np.zeros(len(start))), EnclosedVolume(F, len(start))
+        )
+        found = solver.minimum(
+            places,
+            start,
+            stages=self.stages,
+            stage_iterations=60 if self.firmness else STAGE_ITERATIONS,
+            tolerance=1e-6,
+            iterations=2000,
+            volume=solver.volume.value(start),
+        )
+        return found.positions[: len(V)], shell.energy(found.positions[: len(V)])
 
     def edit(self, **options: Any) -> tuple[implicit.Edit, float]:
         """Return the edit, with the common mesh tracked, and its processor seconds."""
@@ -109,57 +133,53 @@ class Scene:
         }
 
 
-def bend(folder: Path | None, degrees: float = 90.0) -> Scene:
+def bend(meshes: Meshes, degrees: float = 90.0) -> Scene:
     subject = prepare_subject(Case("cactus", "smooth"))
     case = Case("cactus", "rigid", turning_handles(subject, "bend", degrees))
     return Scene(f"cactus, {degrees:.3g} degrees", case, subject, STAGES)
 
 
-def pull(folder: Path | None) -> Scene:
+def pull(meshes: Meshes) -> Scene:
     subject = prepare_subject(Case("spot", "smooth"))
     (case,) = default_cases("spot", subject.V, subject.N, operations=("rigid",))
     return Scene("spot, pull of 15 %", case, subject, 1)
 
 
-def twist(folder: Path | None, degrees: float = 135.0, sides: tuple[float, ...] = BAR, width: int = 32) -> Scene:
+def twist(meshes: Meshes, degrees: float = 135.0, sides: tuple[float, ...] = BAR) -> Scene:
     """A bar of softplus units, one end turned about its axis: sines do not turn their edges."""
     V, F = meshref.box(upper=sides, subdivisions=3)
     path = CACHE / f"bar-{sides[1] / sides[0]:.0f}.off"
     meshref.write_mesh(path, V, F)
-    case = Case(str(path), "smooth", parameters={"fit": {"activation": "softplus", "width": width}})
+    case = Case(str(path), "smooth", parameters={"fit": {"activation": "softplus", "width": meshes.width}})
     subject = prepare_subject(case, folder=CACHE)
     case = Case(str(path), "rigid", turning_handles(subject, "twist", degrees))
-    return Scene(f"bar, {degrees:.3g} degrees, width {width}", case, subject, max(STAGES, round(degrees / 20)))
+    return Scene(f"bar, {degrees:.3g} degrees, width {meshes.width}", case, subject, max(STAGES, round(degrees / 20)))
 
 
-def wide_twist(folder: Path | None) -> Scene:
-    return twist(folder, width=64)
+def whole_turn(meshes: Meshes) -> Scene:
+    """A bar ten times as long as wide, turned once about its axis; its mesh is filled, for alone it would unwind."""
+    return replace(twist(meshes, 360.0, (0.15, 1.5, 0.15)), firmness=1.0)
 
 
-def whole_turn(folder: Path | None) -> Scene:
-    """A bar ten times as long as wide, turned once about its axis."""
-    return twist(folder, 360.0, (0.15, 1.5, 0.15))
-
-
-def arm(folder: Path | None) -> Scene:
+def arm(meshes: Meshes) -> Scene:
     """The armadillo's right arm lowered by 60 degrees, all beyond its shoulder held."""
     turn = {"kind": "rigid", "center": [-0.2, 0.15, 0.0], "rotation": [0.0, 0.0, math.pi / 3]}
     held, moved = _half((-0.12, 0, 0), (1, 0, 0)), _half((-0.33, 0, 0), (-1, 0, 0))
-    return _of_file("armadillo, arm, 60 degrees", folder, "armadillo.obj", held, moved, turn)
+    return _of_file("armadillo, arm, 60 degrees", meshes, "armadillo.obj", held, moved, turn)
 
 
-def neck(folder: Path | None) -> Scene:
+def neck(meshes: Meshes) -> Scene:
     """The dinosaur's head turned aside by 60 degrees about the foot of its neck, its body held."""
     turn = {"kind": "rigid", "center": [-0.17, 0.0, -0.2], "rotation": [0.0, math.pi / 3, 0.0]}
     held, moved = _half((-0.05, 0, -0.05), (0.6, 0, 0.8)), _half((-0.25, 0, -0.3), (-0.6, 0, -0.8))
-    return _of_file("dino, neck, 60 degrees", folder, "dino.off", held, moved, turn)
+    return _of_file("dino, neck, 60 degrees", meshes, "dino.off", held, moved, turn)
 
 
-def head(folder: Path | None) -> Scene:
+def head(meshes: Meshes) -> Scene:
     """The knight's head turned by 45 degrees about his height, his feet held."""
     turn = {"kind": "rigid", "center": [0.5, 0.8, 0.5], "rotation": [0.0, math.pi / 4, 0.0]}
     held, moved = _half((0, 0.25, 0), (0, -1, 0)), _half((0, 0.8, 0), (0, 1, 0))
-    return _of_file("knight, 45 degrees", folder, "knight.off", held, moved, turn)
+    return _of_file("knight, 45 degrees", meshes, "knight.off", held, moved, turn)
 
 
 def _half(point: tuple[float, ...], normal: tuple[float, ...]) -> dict[str, Any]:
@@ -167,26 +187,29 @@ def _half(point: tuple[float, ...], normal: tuple[float, ...]) -> dict[str, Any]
 
 
 def _of_file(
-    words: str, folder: Path | None, name: str, held: dict[str, Any], moved: dict[str, Any], turn: dict[str, Any]
+    words: str, meshes: Meshes, name: str, held: dict[str, Any], moved: dict[str, Any], turn: dict[str, Any]
 ) -> Scene:
     """A scene of a mesh, its handles in the coordinates of the file."""
-    if folder is None:
+    if meshes.folder is None:
         raise SystemExit(f"{name} is not bundled: name its folder by --meshes.")
-    path = str(folder / name)
-    subject = prepare_subject(Case(path, "smooth"), folder=CACHE)
+    path = str(meshes.folder / name)
+    # The default's own settings stand for it, so that fits of before are found.
+    parameters = {} if meshes.width == WIDTH else {"fit": {"width": meshes.width, "depth": 3, "activation": "sine"}}
+    subject = prepare_subject(Case(path, "smooth", parameters=parameters), folder=CACHE)
     still = {"kind": "vector", "vector": [0.0, 0.0, 0.0]}
     units = subject.field.units
     handles = tuple(
         HandleSpec(region, motion).in_field(units.scale, units.offset)
         for region, motion in ((held, still), (moved, turn))
     )
-    return Scene(words, Case(path, "rigid", handles), subject, STAGES)
+    return Scene(f"{words}, width {meshes.width}", Case(path, "rigid", handles), subject, STAGES)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("scenes", nargs="*", choices=[[], *SCENES], default=["pull", "bend"], metavar="SCENE")
     parser.add_argument("--meshes", type=Path, help="folder of armadillo.obj, dino.off and knight.off")
+    parser.add_argument("--width", type=int, default=WIDTH, help="of the networks that are fitted first")
     parser.add_argument("--volume", action="store_true", help="hold the volume")
     parser.add_argument("--area", action="store_true", help="hold the area")
     parser.add_argument("--method", choices=["auto", "finite", "linear", "coupled"], default="auto")
@@ -197,7 +220,7 @@ def main() -> None:
         "| scene | H, % | E | pieces, Euler | handles, rms % | volume, % | processor s |\n|---|---|---|---|---|---|---|"
     )
     for name in given.scenes:
-        scene = SCENES[name](given.meshes)
+        scene = SCENES[name](Meshes(given.meshes, given.width))
         edit, seconds = scene.edit(method=given.method, constraints=held)
         print(f"  {scene.name}: {seconds:.1f} processor s, {edit.status.name} {edit.notes}", flush=True)
         if given.volume:
@@ -231,8 +254,8 @@ def main() -> None:
         print("  ", steps, flush=True)
 
 
-SCENES: dict[str, Callable[[Path | None], Scene]] = {
-    scene.__name__: scene for scene in (pull, bend, twist, wide_twist, whole_turn, arm, neck, head)
+SCENES: dict[str, Callable[[Meshes], Scene]] = {
+    scene.__name__: scene for scene in (pull, bend, twist, whole_turn, arm, neck, head)
 }
 
 if __name__ == "__main__":

@@ -39,7 +39,9 @@ from implicit.fitting.training import FitStatus
 from implicit.sensitivity.moved_as_a_whole import moved_as_a_whole
 from implicit.sensitivity.shape_functionals import Functional, Volume
 from implicit.sensitivity.weak_curvature import FloatArray
-from implicit.step.local_global import Hold, LocalGlobal, Minimum, MinimumStatus
+from implicit.step.enclosed_volume import EnclosedVolume
+from implicit.step.filled import Filled
+from implicit.step.local_global import STAGE_ITERATIONS, Hold, LocalGlobal, Minimum, MinimumStatus
 from implicit.step.problem import Row
 from implicit.step.rest_shape import Deformation
 from implicit.step.surface_map import SurfaceMap
@@ -85,11 +87,23 @@ FIRMNESS = (1.0, 1e2, 1e4)
 # The same ratio from which the ripples that are left are told of.
 RIPPLED = 0.3
 
-# Energy of the points on their way over that at the goal from which they are said to have unwound.
-UNWOUND = 10.0
+# Energy of the points on their way over that at the goal from which they are said to have unwound: a path that turns
+# back gives some of it up as well. An energy below the least is rounding.
+UNWOUND = 1.5
+LEAST_ENERGY = 1e-9
+
+# Firmness of the inside over that of the surface where it is filled, the softest that holds; angle of a stage, in
+# radians, and most iterations of each: these are not a first guess alone, for who strays passes through.
+FILLINGS = (1.0, 10.0)
+FILLED_ANGLE = 0.35
+FILLED_ITERATIONS = 60
 
 # Part of the points' surface inside another part of it that is told of.
 CROSSED = 2e-3
+CROSSING_NOTE = (
+    "The points of least energy pass through each other, and do so with the volume held and the inside filled. Move "
+    "the handles less, or in another way."
+)
 
 # Least distance of the moved surface from the bounds, over the field's size.
 MARGIN = 0.01
@@ -155,26 +169,20 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
         edit = replace(_untouched(problem, status, began), notes=(*notes, *own, *words))
         return with_evidence(edit, problem.field, before, problem.resolution, before)
 
-    held, bound = _volume(problem, start)
-    minimum = _points(problem, start, held, bound, tell)
-    if minimum.status is MinimumStatus.NOT_FINITE:
+    points = _points(problem, start, *_volume(problem, start), tell)
+    if points.minimum.status is MinimumStatus.NOT_FINITE:
         return untouched(EditStatus.NOT_FINITE)
-    if not _stays_inside(problem.precise, start.map_to(minimum).moved):
+    if not _stays_inside(problem.precise, start.map_to(points.minimum).moved):
         words = "The surface would leave the bounds of the field. Widen the bounds, or move the handles less."
         return untouched(EditStatus.SURFACE_LOST, words)
-    follower = _follower(problem, start, minimum)
-    if (crossed := follower.crossed) > CROSSED and held is None:
-        minimum = _points(problem, start, start.rest.volume.value(start.positions), "equal", tell)
-        follower = _follower(problem, start, minimum)
-        own.append(_without_crossing_note(crossed))
-    if follower.crossed > CROSSED or not _stays_inside(problem.precise, start.map_to(minimum).moved):
-        own.clear()
-        return untouched(EditStatus.SELF_CROSSING, _crossing_note(crossed))
+    way = _apart(problem, start, points, tell)
+    if way is None:
+        return untouched(EditStatus.SELF_CROSSING, CROSSING_NOTE)
+    minimum, follower = way.points.minimum, way.follower
+    own += way.notes
     surface_map = start.map_to(minimum)
     if minimum.status is not MinimumStatus.CONVERGED:
         own.append(_minimum_note(minimum))
-    if tell.highest > UNWOUND * minimum.energy:
-        own.append(_unwound_note(tell.highest, minimum.energy))
     seconds_points = time.perf_counter() - began
     edited, following = _followed(problem, follower, before.topology, tell)
     own += _following_notes(problem.field, following)
@@ -201,7 +209,72 @@ def vertices_of(field: Field, start: Deformation) -> SurfaceSample:
     return SurfaceSample(points, field.normal(points), torch.from_numpy(surface.masses).to(points))
 
 
-def _points(problem: FiniteProblem, start: Deformation, held: float | None, bound: str, tell: _Teller) -> Minimum:
+@dataclass(frozen=True, eq=False)
+class _Points:
+    """Points of least energy.
+
+    Attributes:
+        minimum: The deformation.
+        highest: Energy at the end of a stage of their way, 0 where there was but one.
+    """
+
+    minimum: Minimum
+    highest: float
+
+    @property
+    def unwound(self) -> bool:
+        return self.highest > UNWOUND * self.minimum.energy + LEAST_ENERGY
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """What the field is to follow, the field on its way there, and what to know of how the points were found."""
+
+    points: _Points
+    follower: Follower
+    notes: tuple[str, ...]
+
+
+def _apart(problem: FiniteProblem, start: Deformation, points: _Points, tell: _Teller) -> _Way | None:
+    """Return points that do not pass through each other, nor have done so on their way; None where they must.
+
+    Where they do, the volume is held; where they still do, the inside is filled, more firmly each time.
+    """
+    follower = _follower(problem, start, points.minimum)
+    crossed = follower.crossed
+    if crossed <= CROSSED and not points.unwound:
+        return _Way(points, follower, ())
+    held, _ = _volume(problem, start)
+    own = start.rest.volume.value(start.positions)
+    tries = [] if held is not None else [("the volume held", own, 0.0)]
+    if problem.field.dimension == 3:
+        words = "the volume held and the inside filled"
+        tries += [(words, own if held is None else held, firmness) for firmness in FILLINGS]
+    for words, volume, firmness in tries:
+        tried = _points(problem, start, volume, "equal", tell, firmness)
+        moved = start.map_to(tried.minimum).moved
+        if (
+            tried.unwound
+            or tried.minimum.status is MinimumStatus.NOT_FINITE
+            or not _stays_inside(problem.precise, moved)
+        ):
+            continue
+        other = _follower(problem, start, tried.minimum)
+        if other.crossed <= CROSSED:
+            return _Way(tried, other, (_apart_note(crossed, words, held is None),))
+    if crossed > CROSSED:
+        return None
+    return _Way(points, follower, (_unwound_note(points.highest, points.minimum.energy),))
+
+
+def _points(
+    problem: FiniteProblem,
+    start: Deformation,
+    held: float | None,
+    bound: str,
+    tell: _Teller,
+    firmness: float = 0.0,
+) -> _Points:
     """Return the deformation of least energy.
 
     Args:
@@ -210,32 +283,55 @@ def _points(problem: FiniteProblem, start: Deformation, held: float | None, boun
         held: Volume to hold; None holds none.
         bound: On which side of it.
         tell: Told of each iteration.
+        firmness: Of the inside, over that of the surface; 0 leaves it out.
     """
     rest, surface = start.rest, start.surface
     targets = _targets_of_vertices(problem, start)
     weights = targets.weights.cpu().numpy()
     soft = np.where(weights < 1, KILLING_SHARE * problem.alpha * surface.masses * weights, 0.0)
-    hold = Hold(rest.spread((weights >= 1).astype(np.float64)) > 0, rest.spread(soft))
-    solver = LocalGlobal(rest.energy, hold, rest.volume)
-    stages = max(problem.steps, min(MOST_STAGES, round(turning(targets) / STAGE_ANGLE)), 1)
+    angle, iterations = (FILLED_ANGLE, FILLED_ITERATIONS) if firmness > 0 else (STAGE_ANGLE, STAGE_ITERATIONS)
+    stages = max(problem.steps, min(MOST_STAGES, round(turning(targets) / angle)), 1)
+    energy, volume_of, positions = rest.energy, rest.volume, start.positions
+    if firmness > 0:
+        energy = Filled.of(start.field.to(torch.float64), rest.energy, firmness, problem.seed)
+        inside = energy.vertices[len(positions) :]
+        volume_of = EnclosedVolume(rest.energy.faces, len(energy.vertices))
+        positions = np.concatenate([positions, start.carried(inside)])
+    count = len(positions)
 
-    def minimum(volume: float | None) -> Minimum:
-        return solver.minimum(
-            lambda fraction: rest.spread(targets.positions(fraction).cpu().numpy()),
-            start.positions,
+    def everywhere(values: FloatArray) -> FloatArray:
+        spread = rest.spread(values)
+        return np.concatenate([spread, np.zeros((count - len(spread), *spread.shape[1:]))])
+
+    hold = Hold(everywhere((weights >= 1).astype(np.float64)) > 0, everywhere(soft))
+    solver = LocalGlobal(energy, hold, volume_of)
+
+    def found(volume: float | None) -> _Points:
+        heights: list[float] = [0.0]
+        minimum = solver.minimum(
+            lambda fraction: everywhere(targets.positions(fraction).cpu().numpy()),
+            positions,
             stages=stages,
+            stage_iterations=iterations,
             tolerance=TOLERANCE,
             volume=volume,
             report=tell.points,
-            passed=lambda positions: tell.passed(rest.energy.energy(positions)),
+            passed=lambda passed: heights.append(energy.energy(passed)),
         )
+        whole = minimum.energy
+        if firmness > 0:  # what the inside has held apart is the surface's alone again
+            B = len(start.positions)
+            u, R = minimum.positions[:B], minimum.rotations[:B]
+            minimum = replace(minimum, positions=u, rotations=R, energy=rest.energy.energy(u, R))
+            heights = [height * minimum.energy / whole for height in heights] if whole > 0 else heights
+        return _Points(minimum, max(heights))
 
     if held is None or bound == "equal":
-        return minimum(held)
-    free = minimum(None)
-    reached = solver.volume.value(free.positions)
+        return found(held)
+    free = found(None)
+    reached = solver.volume.value(free.minimum.positions)
     broken = reached < held if bound == "at least" else reached > held
-    return minimum(held) if broken else free
+    return found(held) if broken else free
 
 
 def _targets_of_vertices(problem: FiniteProblem, start: Deformation) -> AveragedTargets:
@@ -576,18 +672,12 @@ def _minimum_note(minimum: Minimum) -> str:
     )
 
 
-def _crossing_note(crossed: float) -> str:
+def _apart_note(crossed: float, words: str, told: bool) -> str:
+    how = f"{crossed:.2g} of their surface inside another part," if crossed > CROSSED else "on their way,"
+    more = " Take constraints=[Volume()] to hold it to the field's own digits." if told else ""
     return (
-        f"The points of least energy pass through each other, and do so with the volume held: {crossed:.2g} of their "
-        "surface lies inside another part of it. Move the handles less, or in another way."
-    )
-
-
-def _without_crossing_note(crossed: float) -> str:
-    return (
-        f"The points of least energy pass through each other, {crossed:.2g} of their surface inside another part, "
-        "which no field can show. With the volume held they do not, and so it was held: take constraints=[Volume()] to "
-        "hold it to the field's own digits."
+        f"The points of least energy pass through each other, {how} which no field can show. With {words} they do "
+        f"not, and so it was done.{more}"
     )
 
 
@@ -632,11 +722,6 @@ class _Teller:
         self._progress = progress
         self._last = 0
         self._round = 0
-        self.highest = 0.0  # energy at the end of a stage
-
-    def passed(self, energy: float) -> None:
-        """Take in the energy of the points at the end of a stage of their way."""
-        self.highest = max(self.highest, energy)
 
     def round(self, number: int) -> None:
         """Begin a round of the optimiser."""

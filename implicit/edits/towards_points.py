@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import torch
@@ -27,12 +27,15 @@ from torch import Tensor
 from implicit.evolve.edit import EditStatus
 from implicit.evolve.operation import Outcome, State, Taken
 from implicit.field.field import Field
+from implicit.sensitivity.boundary_sensitivity import parameter_gradient
+from implicit.sensitivity.closed_form import factors, fits
+from implicit.sensitivity.row_factors import RowFactors
 from implicit.step.deformation import DeformationSpace
-from implicit.step.energies import Energy, NormalTarget
+from implicit.step.energies import Energy, FieldTarget, NormalTarget
 from implicit.step.off_surface import off_surface
 from implicit.step.problem import DampingRule, Row, StepProblem
 from implicit.step.rigidity_target import RigidityTarget
-from implicit.step.symmetric import add_gram
+from implicit.step.symmetric import add_gram, gram
 from implicit.surface.projection import newton_to_surface
 from implicit.surface.quadrature import SurfaceSample
 
@@ -45,14 +48,21 @@ OFF_SURFACE_POINTS = 1000
 FIRST_DAMPING, LEAST_DAMPING, ALLOWED = 1e-6, 3e-8, 3.0
 
 # Normal matrices that are made at most, steps that one of them serves, and the part of the energy before that a step is
-# to leave at most for another of its kind to be tried.
+# to leave at most for another of its kind to be tried. Of wide fields, which can hold what is asked, more are made.
 MATRICES, STEPS, LEFT = 4, 3, 0.85
+MATRICES_OF_WIDE = 16
+
+# Factor by which the damping goes up where a step has raised the energy, and down after each matrix.
+HARDER = {False: 10.0, True: 4.0}
 
 # Part of the energy before that a matrix is to leave at most for another one to be made.
 WORTH = 0.95
 
 # Parameters up to which the metric of the energy is taken: its equations are a matrix.
 MOST = 4000
+
+# Numbers of the rows of a wider field at most that are made where they are not known by their factors.
+LARGEST = 200_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +130,8 @@ def nearer(operation: TowardsPoints, field: Field, enough: float) -> tuple[Field
     """Return a field with less strain between its surface and the goals, and how many steps it took.
 
     The steps are those of `operation` with one normal matrix for several, and none of them raises the energy. With more
-    parameters than MOST nothing is done.
+    parameters than MOST it is the matrix of the products of the equations; where a field's rows are not known by their
+    factors and are too many to be made, nothing is done.
 
     Args:
         operation: Where the surface is to be.
@@ -128,17 +139,19 @@ def nearer(operation: TowardsPoints, field: Field, enough: float) -> tuple[Field
         enough: Energy at which no more steps are taken.
     """
     left, taken, damping = operation.left(field), 0, operation.firmness * FIRST_DAMPING
-    energy = left.energy()
-    for number in range(MATRICES if len(field.theta) <= MOST else 0):
-        if energy <= enough:
+    energy, wide = left.energy(), len(field.theta) > MOST
+    for number in range(MATRICES_OF_WIDE if wide else MATRICES):
+        system, begun = None, energy
+        if energy > enough:
+            system = _system(operation, field, left, operation.seed + number)
+        if system is None:
             break
-        system, begun = _Normal.of(operation, field, left, operation.seed + number), energy
         for _ in range(STEPS):
             step = system.step(left, damping)
             tried = None if step is None else field.with_theta(field.theta + step)
             after = None if tried is None else operation.left(tried)
             if tried is None or after is None or not after.energy() < energy:
-                damping *= 10
+                damping *= HARDER[wide]
                 continue
             stalled = after.energy() > LEFT * energy
             field, left, energy, taken = tried, after, after.energy(), taken + 1
@@ -146,13 +159,34 @@ def nearer(operation: TowardsPoints, field: Field, enough: float) -> tuple[Field
                 break
         if energy > WORTH * begun:
             break
-        damping = max(damping / 10, LEAST_DAMPING)
+        damping = max(damping / HARDER[wide], LEAST_DAMPING)
     return field, taken
+
+
+class _System(Protocol):
+    """The equations of a step, to serve several."""
+
+    def step(self, left: RigidityTarget, damping: float) -> Float[Tensor, " p"] | None:
+        """Return the change of the parameters, in float64; None where it cannot be told."""
+
+
+def _system(operation: TowardsPoints, field: Field, left: RigidityTarget, seed: int) -> _System | None:
+    """Return the equations over the parameters, or their products where these are fewer; None where none fit."""
+    single = field.to(torch.float32)
+    here = SurfaceSample(*(part.to(single.theta) for part in (left.points, left.normals, operation.weights)))
+    strength = OFF_SURFACE_STRENGTH / float(operation.weights.mean())
+    away = off_surface(
+        single, here, left.gaps.to(single.theta), strength=strength, points=OFF_SURFACE_POINTS, seed=seed
+    )
+    if len(field.theta) <= MOST:
+        return _Normal.of(single, left, away)
+    count = len(here) + len(away.points)
+    return _Products.of(single, left, away) if fits(field, count) or count * len(field.theta) <= LARGEST else None
 
 
 @dataclass(frozen=True, eq=False)
 class _Normal:
-    """The normal matrix of a step, to serve several.
+    """The normal matrix of a step.
 
     Attributes:
         matrix: Its lower triangle, in single precision (P, P).
@@ -165,18 +199,12 @@ class _Normal:
     away: Float[Tensor, " p"]
 
     @classmethod
-    def of(cls, operation: TowardsPoints, field: Field, left: RigidityTarget, seed: int) -> _Normal:
-        """Return that of a field and what is left of its way."""
-        single = field.to(torch.float32)
-        space = DeformationSpace(single)
-        rows = torch.cat([part for _, part in space.normal_rows(left.points.to(single.theta))])
+    def of(cls, field: Field, left: RigidityTarget, target: FieldTarget) -> _Normal:
+        """Return that of a field in single precision, what is left of its way, and what is asked off its surface."""
+        space = DeformationSpace(field)
+        rows = torch.cat([part for _, part in space.normal_rows(left.points.to(field.theta))])
         matrix = rows.new_zeros(space.size, space.size)
         add_gram(matrix, torch.from_numpy(left.factor.astype(np.float32) @ rows.cpu().numpy()))
-        here = SurfaceSample(*(part.to(single.theta) for part in (left.points, left.normals, operation.weights)))
-        strength = OFF_SURFACE_STRENGTH / float(operation.weights.mean())
-        target = off_surface(
-            single, here, left.gaps.to(single.theta), strength=strength, points=OFF_SURFACE_POINTS, seed=seed
-        )
         away = rows.new_zeros(space.size)
         for part in target.rows(space):
             add_gram(matrix, part.rooted())
@@ -186,12 +214,72 @@ class _Normal:
     def step(self, left: RigidityTarget, damping: float) -> Float[Tensor, " p"] | None:
         """Return the change of the parameters, in float64; None where it cannot be told."""
         bent = torch.from_numpy(left.metric @ left.gaps.cpu().numpy()).to(self.rows)
-        asked = (self.rows.T @ bent + self.away).double().cpu().numpy()
-        lower = self.matrix.double().cpu().numpy()
-        lower[np.diag_indices_from(lower)] += damping * np.trace(lower)
-        # The triangle below the diagonal is the upper one of the Fortran-ordered view.
-        factor, failed = lapack.dpotrf(lower.T, lower=0, overwrite_a=1)
-        if failed:
+        found = _solved(self.matrix, damping, self.rows.T @ bent + self.away, np.float64)
+        return None if found is None else found.to(left.gaps)
+
+
+@dataclass(frozen=True, eq=False)
+class _Products:
+    """The products of the equations of a step with each other, for fields with more parameters than equations.
+
+    With A the equations, one a vertex in the metric of the energy and one a point off the surface, and b what they ask,
+    the step of least |A d_theta - b|^2 + damping |d_theta|^2 is A^T (A A^T + damping)^-1 b.
+
+    Attributes:
+        matrix: A A^T (N, N), in single precision.
+        rows: Motion of the vertices along their normals, and change of the field off the surface by the root of its
+            weight, by each parameter (N, P), in single precision.
+        factor: U of the metric at the first of the steps (V, V).
+        away: What is asked off the surface, by the root of its weight (M,).
+    """
+
+    matrix: Float[Tensor, "n n"]
+    rows: RowFactors | Float[Tensor, "n p"]
+    factor: sparse.csr_array
+    away: Float[Tensor, " m"]
+
+    @classmethod
+    def of(cls, field: Field, left: RigidityTarget, target: FieldTarget) -> _Products:
+        """Return those of a field in single precision, what is left of its way, and what is asked off its surface."""
+        points, roots = left.points.to(field.theta), target.weights.sqrt()
+        scale = torch.cat([-1 / field.gradient_length(field.gradient(points)), roots / target.scale])
+        everywhere = torch.cat([points, target.points])
+        if fits(field, len(everywhere)):
+            rows: RowFactors | Tensor = factors(field, everywhere).scaled(scale)
+            products = rows.gram()
+        else:
+            rows = parameter_gradient(field, everywhere).mul_(scale[:, None])
+            products = gram(rows)
+        lower = products.float().cpu().tril()
+        whole = (lower + lower.tril(-1).T).numpy()
+        V, U = len(points), left.factor.astype(np.float32)
+        whole[:V] = U @ whole[:V]
+        whole[:, :V] = (U @ np.ascontiguousarray(whole[:, :V].T)).T
+        return cls(torch.from_numpy(whole), rows, left.factor, (roots * target.target).double().cpu())
+
+    def step(self, left: RigidityTarget, damping: float) -> Float[Tensor, " p"] | None:
+        """Return the change of the parameters, in float64; None where it cannot be told."""
+        bent = torch.from_numpy(self.factor @ left.gaps.double().cpu().numpy())
+        found = _solved(self.matrix, damping, torch.cat([bent, self.away]), np.float32)
+        if found is None:
             return None
-        found, failed = lapack.dpotrs(factor, asked, lower=0)
-        return None if failed or not np.isfinite(found).all() else torch.from_numpy(found).to(left.gaps)
+        V = self.factor.shape[0]
+        shares = torch.cat([torch.from_numpy(self.factor.T @ found[:V].numpy()), found[V:]])
+        if isinstance(self.rows, Tensor):
+            return (shares.to(self.rows) @ self.rows).to(left.gaps)
+        return self.rows.transposed_times(shares.to(self.rows.theta)).to(left.gaps)
+
+
+def _solved(
+    matrix: Float[Tensor, "n n"], damping: float, right: Float[Tensor, " n"], dtype: type[np.floating[Any]]
+) -> Float[Tensor, " n"] | None:
+    """Return the solution with a symmetric matrix, of which the lower triangle counts, damped relative to its trace."""
+    lower = matrix.cpu().numpy().astype(dtype)
+    lower[np.diag_indices_from(lower)] += damping * np.trace(lower)
+    factored, solve = lapack.get_lapack_funcs(("potrf", "potrs"), (lower,))
+    # The triangle below the diagonal is the upper one of the Fortran-ordered view.
+    factor, failed = factored(lower.T, lower=0, overwrite_a=1)
+    if failed:
+        return None
+    found, failed = solve(factor, right.cpu().numpy().astype(dtype), lower=0)
+    return None if failed or not np.isfinite(found).all() else torch.from_numpy(found).double()

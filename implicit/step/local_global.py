@@ -134,6 +134,7 @@ class LocalGlobal:
         start: FloatArray,
         *,
         stages: int = 1,
+        stage_iterations: int = STAGE_ITERATIONS,
         iterations: int = 400,
         tolerance: float = 1e-5,
         volume: float | None = None,
@@ -147,6 +148,7 @@ class LocalGlobal:
                 asked may be anything.
             start: Positions of the vertices before the first stage (V, 3).
             stages: Parts of the path, the last of which ends at the goal.
+            stage_iterations: Most iterations at each but the last.
             iterations: Most iterations at the goal.
             tolerance: Largest move of a vertex in an iteration, over the size, at which it has converged.
             volume: To hold; None holds none.
@@ -156,7 +158,7 @@ class LocalGlobal:
         u, done = start, 0
         for stage in range(1, stages):
             run = _Run(self, start, places(stage / stages), volume, tolerance)
-            u = run.take(u, STAGE_ITERATIONS, done, report).u
+            u = run.take(u, stage_iterations, done, report).u
             done += run.taken
             if passed is not None:
                 passed(u)

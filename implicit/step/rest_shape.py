@@ -95,6 +95,12 @@ class Deformation:
     def _rotations(self) -> FloatArray:
         return self.rest.energy.rotations(self.positions)
 
+    def carried(self, points: FloatArray) -> FloatArray:
+        """Return where points near the shape at rest (N, D) are taken with it."""
+        B, D = self.rest.surface.vertices.shape
+        rotations = self._rotations[:B, :D, :D]
+        return np.asarray(SurfaceMap(self.rest.surface, self.surface.vertices, rotations).at(points))
+
     def map_to(self, minimum: Minimum) -> SurfaceMap:
         """Return the map of the surface as deformed now to another deformation of the same shape."""
         return self._map(self.surface, minimum.positions, minimum.rotations @ self._rotations.transpose(0, 2, 1))

@@ -18,7 +18,7 @@ from implicit import (
     rigid_edit,
     sample_surface,
 )
-from implicit.edits import finite_rigid
+from implicit.edits import finite_rigid, towards_points
 from implicit.edits.finite_rigid import turning
 from implicit.edits.targets import AveragedTargets
 from implicit.edits.towards_points import TowardsPoints, nearer
@@ -201,6 +201,33 @@ def test_the_last_steps_only_lower_the_strain_that_is_left(rod):
     assert steps >= 1
     assert operation.left(field).energy() <= 0.1 * before
     same, none = nearer(operation, precise, 2 * before)
+    assert (none, same) == (0, precise)
+
+
+def test_products_of_equations_give_the_step_of_the_normal_matrix(rod):
+    """A^T (A A^T + damping)^-1 b = (A^T A + damping)^-1 A^T b, and both matrices have one trace."""
+    precise = rod.to(torch.float64)
+    V, F = extract_mesh(rod, 16)
+    points = project_to_surface(precise, torch.from_numpy(V))
+    goals = points + 0.01 * torch.sin(9 * points[:, 1:2]) * precise.normal(points)
+    surface = WeakSurface(points.numpy(), F)
+    operation = TowardsPoints(
+        goals, torch.from_numpy(surface.masses), SpokesAndRims(surface.vertices, F).laplacian, seed=0
+    )
+    left = operation.left(precise)
+    steps = []
+    for most in (10**6, 0):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(towards_points, "MOST", most)
+            steps.append(towards_points._system(operation, precise, left, 0).step(left, 1e-4))
+    assert float((steps[0] - steps[1]).norm()) < 1e-2 * float(steps[0].norm())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(towards_points, "MOST", 0)
+        _, taken = nearer(operation, precise, 0.5 * left.energy())
+        patch.setattr(towards_points, "LARGEST", 0)
+        patch.setattr(towards_points, "fits", lambda *rows: False)
+        same, none = nearer(operation, precise, 0.5 * left.energy())
+    assert taken >= 1
     assert (none, same) == (0, precise)
 
 

@@ -1,0 +1,32 @@
+"""Large rigid motions of fields beside converged ARAP on the mesh: as near, as low in energy, and in one piece."""
+
+import pytest
+
+import implicit
+from benchmarks.large_rigid import Meshes, bend, pull, whole_turn
+from implicit.evolve.edit import EditStatus
+
+pytestmark = pytest.mark.nightly
+
+
+@pytest.mark.parametrize(("make", "distance"), [(pull, 0.01), (bend, 0.015)])
+def test_an_edit_ends_where_arap_does(make, distance):
+    scene = make(Meshes(None, 32))
+    edit, _ = scene.edit()
+    arap = scene.arap()
+    row = scene.row(edit, arap.V, arap.energy)
+    assert edit.status is EditStatus.DONE
+    assert row["H"] <= distance
+    assert row["E"] <= 1.05
+    assert (row["pieces"], row["Euler"]) == (1, 2)
+
+
+def test_a_bar_ten_times_as_long_as_wide_turns_once_in_one_call():
+    scene = whole_turn(Meshes(None, 64))
+    edit, _ = scene.edit(constraints=[implicit.Volume()])
+    row = scene.row(edit, *scene.with_volume())
+    assert any("inside filled" in note for note in edit.notes)
+    assert edit.history[0]["energy"] > 0.1  # where the points unwind it falls to nothing
+    assert (row["pieces"], row["Euler"]) == (1, 2)
+    assert row["H"] <= 0.03
+    assert row["handles"] <= 2e-3
