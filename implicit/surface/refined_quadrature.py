@@ -12,7 +12,7 @@ the other side. So the fourth order is kept (measured on spheres and tori with c
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -23,37 +23,37 @@ from torch import Tensor
 
 from implicit.field.field import Field
 from implicit.surface.bracketing import bracketed_zeros
-from implicit.surface.creases import edges_of, split_at_creases, split_triangles
+from implicit.surface.creases import edges_of, split_triangles
 from implicit.surface.extraction import PlacedOnGrid, on_their_side
 from implicit.surface.marching import Crossings
 from implicit.surface.projection import SLACK, in_working_precision, place_on_surface
 from implicit.surface.quadrature import (
     MOST_BULGE,
-    MOST_BULGE_BY_CREASES,
+    CurvedMesh,
     MeshedSample,
     cell_points,
     curved_mesh,
     meshed_sample,
     middle_nodes,
-    unfolded,
-    with_middle_nodes,
+    with_creases,
 )
 from implicit.surface.refinement import FACTOR, ROUNDS, Pieces, RefinedGrid
 from implicit.surface.unseen import MISSED, entered_cells
 
 # A triangle is off the surface where its middle is, by more than this share of a cell, or its normal there by so much
 # that the cosine is less.
-OFF = 0.02
-TURNED = 0.97
+OFF = 0.01
+TURNED = 0.985
 
 # Surface in a cell of one sign is not that of the triangles beside it where it is so far off their planes, in cells, or
 # turned by so much that the cosine is less.
 BESIDE = 0.05
 OTHERWISE = 0.5
 
-# Above this share of the cells that the surface crosses nothing about the fault is local, and a finer grid is cheaper.
-MOST_REFINED = 1 / 8
-ALWAYS_REFINED = 500  # cells, whatever their share
+# Above this share of the cells that the surface crosses nothing about the fault of their triangles is local, and a finer
+# grid is cheaper. What no triangle is near is refined whatever its share, up to so many cells.
+MOST_REFINED = 1 / 4
+MOST_MISSED = 4000
 
 IN_PLANE_STEPS = 20
 
@@ -70,17 +70,19 @@ def refined_quadrature(field: Field, resolution: int) -> MeshedSample:
     Raises:
         SurfaceError: There is no surface in the bounds, it leaves them, or the gradient vanishes on it.
     """
-    nodes, marched = curved_mesh(field, resolution)
-    meshed = meshed_sample(field, nodes, marched)
+    curved = curved_mesh(field, resolution)
+    marched = curved.marched
+    meshed = meshed_sample(field, curved.nodes, marched)
     if field.dimension == 2:
         return meshed
     working = in_working_precision(field)
-    unresolved = _unresolved(working, nodes, marched, meshed)
-    crossed = len(torch.unique(_cells_of(marched, marched.crossings.points[marched.faces].mean(dim=1)), dim=0))
-    if len(unresolved) == 0 or len(unresolved) > max(ALWAYS_REFINED, MOST_REFINED * crossed):
+    meshed = replace(meshed, entered=entered_cells(working, meshed))
+    unresolved = _unresolved(working, curved, meshed)
+    if len(unresolved) == 0:
         return meshed
-    refined, mesh = _without_lost_seams(working, marched, unresolved)
-    return meshed_sample(field, _curved(working, mesh, 2 * marched.grid.cell), marched, int(refined.flags.sum()))
+    refined, pieces, mesh = _without_lost_seams(working, marched, unresolved)
+    sample = meshed_sample(field, _curved(working, curved, pieces, mesh), marched).sample
+    return replace(meshed, sample=sample, refined=int(refined.flags.sum()))
 
 
 def _cells_of(marched: PlacedOnGrid, points: Float[Tensor, "n 3"]) -> Int[Tensor, "n 3"]:
@@ -89,18 +91,20 @@ def _cells_of(marched: PlacedOnGrid, points: Float[Tensor, "n 3"]) -> Int[Tensor
     return torch.minimum(((points - grid.lower) / grid.cell).floor().long().clamp(min=0), top)
 
 
-def _unresolved(
-    field: Field, nodes: Float[Tensor, "m 6 3"], marched: PlacedOnGrid, meshed: MeshedSample
-) -> Int[NDArray, "n 3"]:
+def _unresolved(field: Field, curved: CurvedMesh, meshed: MeshedSample) -> Int[NDArray, "n 3"]:
     """Return the cells of the grid whose triangles are not on the surface, or whose surface has no triangles."""
-    cell = marched.grid.cell
+    nodes, cell = curved.nodes, meshed.grid.cell
     points, across = cell_points(nodes, nodes.new_full((len(nodes), 2), 1 / 3))
     value, gradient = field.value_and_gradient(points)
     slope = gradient.norm(dim=1)
     cosine = (gradient * across).sum(dim=1) / (slope * across.norm(dim=1))
     followed = (value.abs() <= OFF * cell * slope) & (cosine >= TURNED)
-    found = [_cells_of(marched, nodes[~followed, :3].mean(dim=1))]
-    index, points = entered_cells(field, meshed)
+    all_cells, which = torch.unique(_cells_of(curved.marched, nodes[:, :3].mean(dim=1)), dim=0, return_inverse=True)
+    found = [all_cells[torch.unique(which[~followed])]]
+    if len(found[0]) > MOST_REFINED * len(all_cells):
+        found = []
+    assert meshed.entered is not None
+    index, points = meshed.entered
     if len(points):
         sample = meshed.sample.to(points.dtype)
         distance, nearest = cKDTree(sample.points.cpu().numpy()).query(points.cpu().numpy())
@@ -108,8 +112,9 @@ def _unresolved(
         off = ((points - at) * normals).sum(dim=1).abs()
         far = torch.from_numpy(distance > MISSED * cell).to(points.device)
         turned = (field.normal(points) * normals).sum(dim=1) < OTHERWISE
-        found.append(index[far | turned | (off > BESIDE * cell)])
-    return torch.unique(torch.cat(found), dim=0).cpu().numpy()
+        missed = index[far | turned | (off > BESIDE * cell)]
+        found += [missed] if len(missed) <= MOST_MISSED else []
+    return torch.unique(torch.cat([*found, index[:0]]), dim=0).cpu().numpy()
 
 
 # Vertices, and edges at seams
@@ -157,8 +162,7 @@ class _Edges:
 
     def among(self, edges: Int[Tensor, "e 2"]) -> Int[Tensor, " s"]:
         """Return where each is in a list of all edges, which are in order."""
-        most = int(edges.max()) + 1
-        return torch.searchsorted(edges[:, 0] * most + edges[:, 1], self.ends[:, 0] * most + self.ends[:, 1])
+        return _among(self.ends, edges)
 
     def middles(self, field: Field, corners: Float[Tensor, "v 3"]) -> tuple[Float[Tensor, "s 3"], Bool[Tensor, " s"]]:
         """Return the middle of each, brought to f = 0 within the plane of its face, and True where that is near.
@@ -197,7 +201,7 @@ class _Mesh:
 
 def _without_lost_seams(
     field: Field, marched: PlacedOnGrid, unresolved: Int[NDArray, "n 3"]
-) -> tuple[RefinedGrid, _Mesh]:
+) -> tuple[RefinedGrid, Pieces, _Mesh]:
     """Refine cells until each coarse edge at a seam follows its curve, and return the mesh."""
     refined = RefinedGrid(field, marched)
     refined.refine(unresolved)
@@ -207,7 +211,7 @@ def _without_lost_seams(
         if len(lost) == 0:
             break
         refined.refine(np.unique(lost, axis=0))
-    return refined, _with_fine_vertices(field, marched, pieces, mesh)
+    return refined, pieces, _with_fine_vertices(field, marched, pieces, mesh)
 
 
 def _places(marched: PlacedOnGrid, units: Float[NDArray, "n 3"]) -> Float[Tensor, "n 3"]:
@@ -251,9 +255,7 @@ def _meshed(field: Field, marched: PlacedOnGrid, pieces: Pieces) -> tuple[_Mesh,
     return mesh, torch.cat(lost).cpu().numpy()
 
 
-def _on_their_edges(
-    field: Field, lower: Float[Tensor, "n 3"], upper: Float[Tensor, "n 3"]
-) -> Float[Tensor, "n 3"]:
+def _on_their_edges(field: Field, lower: Float[Tensor, "n 3"], upper: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
     """Return the zero of f on each edge, or its end nearer to zero where rounding gives both ends one sign."""
     at_lower, at_upper = field.value(lower), field.value(upper)
     points = torch.where((at_lower.abs() < at_upper.abs())[:, None], lower, upper)
@@ -281,24 +283,35 @@ def _with_fine_vertices(field: Field, marched: PlacedOnGrid, pieces: Pieces, mes
     return _Mesh(corners, gradients, mesh.faces, mesh.seams)
 
 
-def _curved(field: Field, mesh: _Mesh, reach: float) -> Float[Tensor, "m 6 3"]:
+def _curved(field: Field, curved: CurvedMesh, pieces: Pieces, mesh: _Mesh) -> Float[Tensor, "m 6 3"]:
     """Return the nodes of curved cells on the triangles, split along creases but not at seams."""
-    corners, faces = mesh.corners, mesh.faces
+    corners, reach = mesh.corners, 2 * curved.marched.grid.cell
+    edges, edge_of = edges_of(mesh.faces, len(corners))
+    seams = mesh.seams.among(edges)
     in_face, _ = mesh.seams.middles(field, corners)
-
-    def middles(corners: Tensor, edges: Tensor, most: float) -> tuple[Tensor, Tensor, Tensor]:
-        points, slopes = middle_nodes(field, corners, edges, reach, most)
-        seams = mesh.seams.among(edges)
-        points[seams] = in_face
-        return points, slopes, seams
-
-    edges, edge_of = edges_of(faces, len(corners))
-    points, slopes, seams = middles(corners, edges, MOST_BULGE)
+    # What the coarse mesh knows already is not looked for again: the middles between vertices that are where they were.
+    moved = torch.ones(len(corners), dtype=torch.bool, device=corners.device)
+    moved[: len(curved.marched.placement.points)] = False
+    moved[: len(pieces.at_seam)] |= torch.from_numpy(pieces.at_seam).to(corners.device)
+    known = ~moved[edges].any(dim=1)
+    where = _among(edges[known], curved.edges)
+    other = ~known
+    other[seams] = False
+    points, slopes = torch.empty_like(corners[edges[:, 0]]), torch.empty_like(corners[edges[:, 0]])
+    points[known], slopes[known] = curved.middles[where], curved.slopes[where]
+    points[other], slopes[other] = middle_nodes(field, corners, edges[other], reach, MOST_BULGE)
+    points[seams] = in_face
     # A seam must stay whole on both sides: with a normal half way between those of its ends it crosses no crease.
     slopes[seams] = torch.nn.functional.normalize(mesh.gradients[edges[seams]], dim=2).sum(dim=1)
-    split = split_at_creases(field, corners, faces, edges, edge_of, (mesh.gradients, slopes))
-    if len(split[0]) == len(corners):
-        return with_middle_nodes(corners, faces, points, edge_of)
-    edges, edge_of = edges_of(split[1], len(split[0]))
-    points, _, _ = middles(split[0], edges, MOST_BULGE_BY_CREASES)
-    return unfolded(with_middle_nodes(*split, points, edge_of))
+
+    def given(edges: Tensor, middles: Tensor) -> Tensor:
+        return middles.index_copy(0, mesh.seams.among(edges), in_face)
+
+    parts = (corners, mesh.faces, edges, edge_of)
+    return with_creases(field, parts, points, (mesh.gradients, slopes), reach, given)
+
+
+def _among(some: Int[Tensor, "s 2"], edges: Int[Tensor, "e 2"]) -> Int[Tensor, " s"]:
+    """Return where some edges are in a list of all, which are in order."""
+    most = int(edges.max()) + 1
+    return torch.searchsorted(edges[:, 0] * most + edges[:, 1], some[:, 0] * most + some[:, 1])

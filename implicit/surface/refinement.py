@@ -196,5 +196,3 @@ def as_corners_tell(inside: Bool[NDArray, "n s s"]) -> Bool[NDArray, " n"]:
         regions += np.bincount(owner[1:], minlength=len(inside))
     total = changes.sum(axis=1)
     return (changes <= 1).all(axis=1) & (total < 4) & (regions == 1 + (total > 0))
-
-

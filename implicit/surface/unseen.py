@@ -18,7 +18,7 @@ from torch import Tensor
 
 from implicit.field.field import Field
 from implicit.surface.projection import in_working_precision, newton_to_surface
-from implicit.surface.quadrature import MeshedSample
+from implicit.surface.quadrature import Entered, MeshedSample
 
 # A point of the surface is missed where no point of the quadrature is so near, in cells; those of one cell lie closer.
 MISSED = 0.5
@@ -63,7 +63,7 @@ def unseen_parts(field: Field, meshed: MeshedSample) -> Unseen:
     """
     working = in_working_precision(field)
     cell = meshed.grid.cell
-    index, points = entered_cells(working, meshed)
+    index, points = entered_cells(working, meshed) if meshed.entered is None else meshed.entered
     if len(points):
         near, _ = cKDTree(meshed.sample.points.double().cpu().numpy()).query(points.double().cpu().numpy())
         far = torch.from_numpy(near > MISSED * cell).to(points.device)
@@ -78,7 +78,7 @@ def unseen_parts(field: Field, meshed: MeshedSample) -> Unseen:
     return Unseen(some, share * volumes, share * areas)
 
 
-def entered_cells(field: Field, meshed: MeshedSample) -> tuple[Int[Tensor, "n d"], Float[Tensor, "n d"]]:
+def entered_cells(field: Field, meshed: MeshedSample) -> Entered:
     """Return the cells whose corners have one sign but that hold a surface, and a point of it in each.
 
     Args:
