@@ -4,7 +4,7 @@ Both follow mean curvature with the volume held, for the same time, from the sam
 over points of the field's result from the mesh's, in diagonals; beside it stands what each side says of its own error:
 the field, what its last halving of the steps has changed; the mesh, the error of its steps by extrapolation, and a
 third of the distance to the flow on a quarter of its vertices. The areas over time are drawn, of the field in each
-number of steps. A line is written as soon as a shape is done.
+number of steps. A line is written as soon as a shape is done; --write puts table and picture in docs/smoothing.md.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import torch
 
 import implicit
 import meshref
+from benchmarks.pages import DOCS, made_by, replace_part
 from compare.cases.case import BUNDLED
 from compare.studies.workbench import EXACT, Workbench
 
@@ -117,6 +118,28 @@ def drawn(rows: Sequence[dict[str, Any]], path: Path) -> None:
     figure.savefig(path, dpi=150)
 
 
+def within(row: dict[str, Any]) -> bool:
+    """Return True where the two flows are no farther from each other than both say that they may be off."""
+    return bool(row["distance"] <= row["field, steps"] + row["mesh, steps"] + row["mesh, triangles"])
+
+
+def table(rows: Sequence[dict[str, Any]]) -> str:
+    """Return a table of the flows, lengths in diagonals."""
+    lines = [
+        "| shape | steps of the field | area, field | area, mesh | distance | field, steps | mesh, steps "
+        "| mesh, triangles | distance over the sum |\n|---|---|---|---|---|---|---|---|---|"
+    ]
+    for row in rows:
+        areas = [f"{100 * row[side]:+.3f} %" for side in ("area of the field", "area of the mesh")]
+        lengths = [
+            f"{100 * row[name]:.2g} %" for name in ("distance", "field, steps", "mesh, steps", "mesh, triangles")
+        ]
+        share = row["distance"] / (row["field, steps"] + row["mesh, steps"] + row["mesh, triangles"])
+        cells = [row["shape"], str(row["steps"][0]), *areas, *lengths, f"{share:.2f}"]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
 def main(arguments: Sequence[str]) -> int:
     """Measure the shapes, print a line each, and draw the areas."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -128,6 +151,9 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--steps", type=int, default=8)
     parser.add_argument("--most-steps", type=int, default=32)
     parser.add_argument("--points", type=int, default=1000)
+    parser.add_argument(
+        "--write", action="store_true", help="put the table and the picture of all that is kept in docs"
+    )
     asked = parser.parse_args(arguments)
     asked.output.mkdir(parents=True, exist_ok=True)
     kept = asked.output / "rows.jsonl"
@@ -149,9 +175,13 @@ def main(arguments: Sequence[str]) -> int:
                 file.write(json.dumps(row) + "\n")
         row = there[Path(shape).stem]
         words = {name: value for name, value in row.items() if name != "curves"}
-        words["within"] = row["distance"] <= row["field, steps"] + row["mesh, steps"] + row["mesh, triangles"]
+        words["within"] = within(row)
         print(json.dumps(words), flush=True)
     drawn(list(there.values()), asked.output / "areas.png")
+    if asked.write:
+        command = f"python -m benchmarks.flows_agree {' '.join(there)} --most-steps {asked.most_steps} --write"
+        replace_part(DOCS / "smoothing.md", "flows", f"{made_by(command)}:\n\n{table(list(there.values()))}")
+        drawn(list(there.values()), DOCS / "flows-agree.png")
     return 0
 
 

@@ -373,7 +373,7 @@ IMPLICIT = [
     ("density of what is unseen", "sensitivity/shape_functionals::VolumeIntegral.unseen",
      "parts.volumes @", "parts.areas @",
      "sensitivity/integral_error::a_density_counts_in_what_is_unseen"),
-    ("side of a thin sheet that a vertex belongs to", "surface/extraction::_on_their_side",
+    ("side of a thin sheet that a vertex belongs to", "surface/extraction::on_their_side",
      "* outward).sum(dim=1) < 0)", "* outward).sum(dim=1) > 1e9)",
      "surface/extraction::both_sides_of_a_sheet_thinner_than_a_cell_keep_their_vertices"),
     ("which bounds a step would break", "evolve/constraints::LinearConstraints.active",

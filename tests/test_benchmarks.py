@@ -13,7 +13,16 @@ import implicit
 
 ROOT = Path(__file__).parent.parent
 FILES = sorted(file.stem for file in (ROOT / "benchmarks").glob("[a-z]*.py"))
-SCRIPTS = {"common", "flat_memory", "hard_meshes", "side_by_side", "whole_edits"}
+SCRIPTS = {
+    "common",
+    "diagram_page",
+    "flat_memory",
+    "flows_agree",
+    "hard_meshes",
+    "pages",
+    "side_by_side",
+    "whole_edits",
+}
 SHORT = {"basis", "extraction", "import_time", "mesh_flows", "quadrature", "solvers"}
 LARGE = pytest.mark.nightly  # of published sizes, or with many solves of the mesh beside
 KINDS = ("time_", "timeraw_", "peakmem_", "track_")

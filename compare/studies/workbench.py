@@ -1,7 +1,7 @@
 """Shapes of the diagrams, each with the field that is the truth, networks fitted to it, and even meshes on it.
 
-    sphere, torus   closed forms; the field is the exact distance
-    a bundled shape its network; a file of a field its field; a file of a mesh the fit of a network to it
+    sphere, torus, capsule  closed forms; the field is the exact distance
+    a bundled shape         its network; a file of a field its field; a file of a mesh the fit of a network to it
 
 Everything is made when it is first asked for, and kept; fitted networks in a folder.
 """
@@ -24,8 +24,9 @@ from compare.files import plain, replace_file
 if TYPE_CHECKING:
     from implicit import Field
 
-EXACT = ("sphere", "torus")
+EXACT = ("sphere", "torus", "capsule")
 SPHERE_RADIUS = 0.6
+CAPSULE = ((-0.4, 0.0, 0.0), (0.4, 0.0, 0.0), 0.25)  # ends of its axis, and radius
 
 # Vertices of the mesh that networks are fitted to, and cells of the grid that meshes are taken from.
 TARGET_VERTICES = 16_000
@@ -91,10 +92,11 @@ class Workbench:
         import torch
 
         import implicit
-        from implicit.shapes import bundled, sphere, torus
+        from implicit.shapes import bundled, capsule, sphere, torus
 
         if shape in EXACT:
-            return sphere(SPHERE_RADIUS) if shape == "sphere" else torus()
+            exact = {"sphere": sphere(SPHERE_RADIUS), "torus": torus(), "capsule": capsule(*CAPSULE)}
+            return exact[shape]
         if shape in BUNDLED:
             return bundled(shape).to(torch.float64)
         if Path(shape).suffix.lower() == FIELD_SUFFIX:

@@ -33,6 +33,7 @@ from implicit.step.deformation import DeformationSpace
 from implicit.step.least_squares import LeastSquares, Rows, Solution
 from implicit.surface.extraction import require_resolution
 from implicit.surface.quadrature import MeshedSample, SurfaceSample, meshed_quadrature
+from implicit.surface.refined_quadrature import refined_quadrature
 from implicit.surface.sampling import subsample
 
 Enforce = Literal["rows", "projection", "penalty"]
@@ -314,7 +315,7 @@ class ConstraintSet:
         targets = [v if c.target is None else c.target for c, v in zip(functionals, start.measured.values, strict=True)]
         scales = [abs(t) if t != 0 else area for t in targets]
         errors = [found.error / s for found, s in zip(start.integrals, scales, strict=True)]
-        stepped = start.known.get(holding.resolution) or free.measure(field).values
+        stepped = free.measure(field).values
         off = [abs(a - b) / s for a, b, s in zip(stepped, start.measured.values, scales, strict=True)]
         return replace(
             free,
@@ -347,12 +348,16 @@ class ConstraintSet:
         """Return the surface of a field with the values on it.
 
         Args:
-            cells: Along the longest side of the bounds; None is as in each step.
+            cells: Along the longest side of the bounds, those refined that do not resolve the surface; None is as in
+                each step, with all cells of one size.
 
         Raises:
             ValueError: It has none any more, or its gradient vanishes there.
         """
-        surface = meshed_quadrature(field, self.holding.resolution if cells is None else cells)
+        if cells is None:
+            surface = meshed_quadrature(field, self.holding.resolution)
+        else:
+            surface = refined_quadrature(field, cells)
         return Measurement(surface, tuple(c.value(field, surface.sample) for c in self.functionals))
 
     def values(self, measured: Measurement | None) -> dict[str, float]:

@@ -36,13 +36,8 @@ from implicit.sensitivity.boundary_sensitivity import adjoint
 from implicit.sensitivity.pointwise_curvature import normal_turning
 from implicit.sensitivity.weak_curvature import surface_mean_curvature
 from implicit.surface.extraction import require_resolution
-from implicit.surface.quadrature import (
-    MeshedSample,
-    SurfaceSample,
-    meshed_quadrature,
-    require_sample,
-    surface_quadrature,
-)
+from implicit.surface.quadrature import MeshedSample, SurfaceSample, require_sample
+from implicit.surface.refined_quadrature import refined_quadrature
 from implicit.surface.unseen import Unseen, unseen_parts
 
 Density = Callable[[Tensor], Tensor]
@@ -306,7 +301,7 @@ def integrate(
         require_positive("tolerance", tolerance)
     known: dict[int, Values] = {}
     while True:
-        meshed = meshed_quadrature(field, resolution)
+        meshed = refined_quadrature(field, resolution)
         known[resolution] = (functional.value(field, meshed.sample),)
         (found,) = with_errors(field, (functional,), meshed, resolution, known)
         finer = next_finer(resolution, finest)
@@ -338,10 +333,11 @@ def with_errors(
         cells = max(4, round(share * resolution))
         if cells == resolution:
             continue
-        gains = [(resolution / cells) ** functional.least_order - 1 for functional in functionals]
+        orders = [1 if meshed.refined else functional.least_order for functional in functionals]
+        gains = [(resolution / cells) ** order - 1 for order in orders]
         try:
             if cells not in known:
-                sample = surface_quadrature(field, cells)
+                sample = refined_quadrature(field, cells).sample
                 known[cells] = tuple(functional.value(field, sample) for functional in functionals)
         except SurfaceError:  # such coarse cells may not even have a surface: then nothing bounds the error
             errors = [max(e, abs(v)) for e, v in zip(errors, values, strict=True)]

@@ -55,7 +55,7 @@ def split_at_creases(
         return corners, cells
     new = torch.full_like(edges[:, 0], -1)
     new[found] = torch.arange(len(found), device=new.device) + len(corners)
-    split = _split_segments if field.dimension == 2 else _split_triangles
+    split = _split_segments if field.dimension == 2 else split_triangles
     return torch.cat([corners, points]), split(cells, new[edge_of])
 
 
@@ -119,7 +119,7 @@ def _split_segments(cells: Int[Tensor, "m 2"], new: Int[Tensor, "m 1"]) -> Int[T
     return torch.cat([cells[~crossed], torch.stack([a, p], dim=1), torch.stack([p, b], dim=1)])
 
 
-def _split_triangles(cells: Int[Tensor, "m 3"], new: Int[Tensor, "m 3"]) -> Int[Tensor, "k 3"]:
+def split_triangles(cells: Int[Tensor, "m 3"], new: Int[Tensor, "m 3"]) -> Int[Tensor, "k 3"]:
     """Cut each triangle along the lines between its new vertices, on the edges 01, 12, 20, where there are any."""
     crossed = new >= 0
     count = crossed.sum(dim=1)

@@ -102,6 +102,7 @@ class PlacedOnGrid:
     faces: Int[Tensor, "m d"]
     grid: Grid
     signs: Int8[Tensor, "*nodes"]
+    crossings: Crossings
 
 
 def placed_on_grid(field: Field, resolution: int, memory_limit: float = MEMORY_LIMIT) -> PlacedOnGrid:
@@ -114,7 +115,7 @@ def placed_on_grid(field: Field, resolution: int, memory_limit: float = MEMORY_L
     grid.require_memory(memory_limit)
     start = march(field, grid)
     found = place_on_surface(field, start.points, reach=2 * grid.cell, segments=(start.lower, start.upper))
-    found = _on_their_side(field, start, found)
+    found = on_their_side(field, start, found)
     if int(found.jumps.sum()) > LOST * len(start.points):
         raise discontinuous(field, found)
     if not bool((found.arrived | found.jumps).all()):
@@ -129,10 +130,10 @@ def placed_on_grid(field: Field, resolution: int, memory_limit: float = MEMORY_L
             )
         kept = torch.where((found.arrived | found.jumps)[:, None], found.points, start.points)
         found = replace(found, points=kept)
-    return PlacedOnGrid(found, start.faces, grid, start.signs)
+    return PlacedOnGrid(found, start.faces, grid, start.signs, start)
 
 
-def _on_their_side(field: Field, start: Crossings, found: Placement) -> Placement:
+def on_their_side(field: Field, start: Crossings, found: Placement) -> Placement:
     """Return the placement with what strayed to the other side of a thin part brought back to its own edge.
 
     From the middle of a sheet Newton's method goes to either side, by less than a cell: there f rises against the

@@ -12,7 +12,7 @@ Single precision is all that marching cubes work in; the vertices find the surfa
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise, product
 
@@ -101,7 +101,7 @@ def march(field: Field, grid: Grid) -> Crossings:
     # One dtype for all: what is rounded differently for two neighbours could give a node two signs.
     single = field.to(torch.float32)
     index, faces, signs = (_march_squares if field.dimension == 2 else _march_chunks)(single, grid)
-    corner, along = _edges(index)
+    corner, along = edges_of_places(index)
     inside = along.sum(axis=1, keepdims=True) > 1
     ends = (np.where(inside, index, end) for end in (corner, corner + along))
     place, lower, upper = (grid.lower + torch.from_numpy(x).to(grid.lower) * grid.cell for x in (index, *ends))
@@ -169,11 +169,11 @@ def _march_chunks(field: Field, grid: Grid) -> tuple[NDArray[np.float64], NDArra
 
 def _edge_keys(place: NDArray[np.float64], nodes: tuple[int, ...]) -> NDArray[np.int64]:
     """A number for the edge of the grid that each vertex lies on, or for the cell where it lies inside one."""
-    corner, along = _edges(place)
+    corner, along = edges_of_places(place)
     return 4 * np.ravel_multi_index(tuple(corner.T), nodes) + np.where(along.all(axis=1), 3, along.argmax(axis=1))
 
 
-def _edges(place: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+def edges_of_places(place: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Return the lower end of the edge that each vertex lies on, and which axis it runs along.
 
     Some cases of marching cubes put a vertex inside their cell: of those the lower corner of the cell, and all axes.
@@ -354,6 +354,17 @@ def _clearest(
         value = values.view(-1)[places.gather(0, which[None])[0]]
         # From a middle to a node is one cell along each axis where the node is even.
         yield 2 * index + torch.tensor(odd, device=near.device), value, room > grid.cell * (3 - sum(odd)) ** 0.5
+
+
+def node_values(field: Field, grid: Grid) -> Callable[[NDArray[np.int64]], NDArray[np.float32]]:
+    """Return a function that gives f at nodes of a grid from their index, moved away from zero as in a march."""
+    steepest = _Steepest(field)
+
+    def values(index: NDArray[np.int64]) -> NDArray[np.float32]:
+        points = grid.place(torch.from_numpy(index).to(field.device)).to(field.dtype)
+        return _nudged(field, grid, points, steepest).cpu().numpy()
+
+    return values
 
 
 class _Steepest:

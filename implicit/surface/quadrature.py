@@ -9,6 +9,7 @@ flat, and the order falls to the second.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,6 +91,9 @@ def require_sample(field: Field, sample: SurfaceSample) -> SurfaceSample:
     return sample
 
 
+Entered = tuple[Int[Tensor, "n d"], Float[Tensor, "n d"]]  # cells, and a point of the surface in each
+
+
 @dataclass(frozen=True, eq=False)
 class MeshedSample:
     """A quadrature, the mesh whose cells it came from, and the grid that this was marched on."""
@@ -99,6 +103,8 @@ class MeshedSample:
     faces: Int[Tensor, "m d"]  # corners of the cells
     grid: Grid
     signs: Int8[Tensor, "*nodes"]  # of f at the nodes of the grid, zero where the surface is far
+    refined: int = 0  # cells of the grid that the quadrature has finer than the mesh
+    entered: Entered | None = None  # cells of one sign with the surface in them, where these have been looked for
 
     def __repr__(self) -> str:
         cells = counted(len(self.faces), "triangle" if self.faces.shape[1] == 3 else "segment")
@@ -126,17 +132,22 @@ def surface_quadrature(field: Field, resolution: int = 64, *, exact_points: bool
 
 def meshed_quadrature(field: Field, resolution: int) -> MeshedSample:
     """Return the quadrature of surface_quadrature, its points left on the cells, with the marched mesh."""
-    nodes, marched = _curved_mesh(field, resolution)
+    curved = curved_mesh(field, resolution)
+    return meshed_sample(field, curved.nodes, curved.marched)
+
+
+def meshed_sample(field: Field, nodes: Float[Tensor, "m k d"], marched: PlacedOnGrid, refined: int = 0) -> MeshedSample:
+    """Return the quadrature over curved cells, with the marched mesh beneath and how many of its cells were refined."""
     points, normals, weights = _curved_rule(nodes)
     keep = weights > 0
     sample = SurfaceSample(points[keep], normals[keep], weights[keep]).to(field.dtype)
     vertices = marched.placement.points.to(field.dtype)
-    return MeshedSample(sample, vertices, marched.faces, marched.grid, marched.signs)
+    return MeshedSample(sample, vertices, marched.faces, marched.grid, marched.signs, refined)
 
 
 def curved_cells(field: Field, resolution: int) -> Float[Tensor, "m k d"]:
     """Return the nodes of quadratic cells on the surface: six of a triangle, or in the plane three of a segment."""
-    return _curved_mesh(field, resolution)[0]
+    return curved_mesh(field, resolution).nodes
 
 
 def cell_points(
@@ -195,23 +206,65 @@ def normals_of(field: Field, points: Float[Tensor, "n d"], otherwise: Float[Tens
     return torch.where(known[:, None], gradients / length[:, None], otherwise)
 
 
-def _curved_mesh(field: Field, resolution: int) -> tuple[Tensor, PlacedOnGrid]:
-    """Nodes of the curved cells, (m, 6, 3) or (m, 3, 2), and the marched mesh beneath."""
+@dataclass(frozen=True, eq=False)
+class CurvedMesh:
+    """Quadratic cells on the surface.
+
+    Attributes:
+        nodes: Of each cell (M, 6, 3), or in the plane (M, 3, 2): the corners, then the middles of its edges.
+        marched: The mesh beneath.
+        edges: The ends of each of its edges.
+        middles: The middle of each edge, on the surface.
+        slopes: df/dx at these, or near.
+    """
+
+    nodes: Float[Tensor, "m k d"]
+    marched: PlacedOnGrid
+    edges: Int[Tensor, "e 2"]
+    middles: Float[Tensor, "e d"]
+    slopes: Float[Tensor, "e d"]
+
+
+def curved_mesh(field: Field, resolution: int) -> CurvedMesh:
+    """Return the curved cells of a field's surface, and the marched mesh beneath."""
     marched = placed_on_grid(field, resolution)
     vertices, cells = marched.placement, marched.faces
     corners, reach = vertices.points, 2 * field.size / resolution
     field = in_working_precision(field)
     edges, edge_of = edges_of(cells, len(corners))
-    middles, slopes = _middle_nodes(field, corners, edges, reach, MOST_BULGE)
-    split = split_at_creases(field, corners, cells, edges, edge_of, (vertices.gradients, slopes))
+    middles, slopes = middle_nodes(field, corners, edges, reach, MOST_BULGE)
+    nodes = with_creases(field, (corners, cells, edges, edge_of), middles, (vertices.gradients, slopes), reach)
+    return CurvedMesh(nodes, marched, edges, middles, slopes)
+
+
+def with_creases(
+    field: Field,
+    mesh: tuple[Tensor, Tensor, Tensor, Tensor],
+    middles: Float[Tensor, "e d"],
+    gradients: tuple[Float[Tensor, "v d"], Float[Tensor, "e d"]],
+    reach: float,
+    given: Callable[[Tensor, Tensor], Tensor] = lambda _, middles: middles,
+) -> Float[Tensor, "m k d"]:
+    """Return the nodes of curved cells, split along creases where there are any.
+
+    Args:
+        field: The field.
+        mesh: Its corners and cells; the edges of these, and which each cell has.
+        middles: Of the edges.
+        gradients: df/dx at the corners, and near the middles.
+        reach: Largest distance a middle may be moved, a length.
+        given: Puts middles that must be where they are in the place of those of the edges of a mesh that was split.
+    """
+    corners, cells, edges, edge_of = mesh
+    split = split_at_creases(field, corners, cells, edges, edge_of, gradients)
     if len(split[0]) == len(corners):
-        return _with_middle_nodes(corners, cells, middles, edge_of), marched
+        return with_middle_nodes(corners, cells, middles, edge_of)
     edges, edge_of = edges_of(split[1], len(split[0]))
-    middles, _ = _middle_nodes(field, split[0], edges, reach, MOST_BULGE_BY_CREASES)
-    return _unfolded(_with_middle_nodes(*split, middles, edge_of)), marched
+    middles, _ = middle_nodes(field, split[0], edges, reach, MOST_BULGE_BY_CREASES)
+    return unfolded(with_middle_nodes(*split, given(edges, middles), edge_of))
 
 
-def _middle_nodes(field: Field, corners: Tensor, edges: Tensor, reach: float, most: float) -> tuple[Tensor, Tensor]:
+def middle_nodes(field: Field, corners: Tensor, edges: Tensor, reach: float, most: float) -> tuple[Tensor, Tensor]:
     """The middle of each edge, on the surface where that is nearer than so many edges; and df/dx there.
 
     Both triangles at an edge share its middle node, or the curved surface would tear.
@@ -224,12 +277,12 @@ def _middle_nodes(field: Field, corners: Tensor, edges: Tensor, reach: float, mo
     return torch.where(near[:, None], found.points, start), found.gradients
 
 
-def _with_middle_nodes(corners: Tensor, cells: Tensor, middles: Tensor, edge_of: Tensor) -> Tensor:
+def with_middle_nodes(corners: Tensor, cells: Tensor, middles: Tensor, edge_of: Tensor) -> Tensor:
     """Nodes of the curved cells: the corners, then the middles of edges 01, 12, 20, or of the segment."""
     return torch.cat([corners[cells], middles[edge_of]], dim=1)
 
 
-def _unfolded(nodes: Tensor) -> Tensor:
+def unfolded(nodes: Tensor) -> Tensor:
     """The same cells, but flat where one turns against its own corners, as may happen by the corners of a box."""
     dimension = nodes.shape[2]
     corners, middles = nodes[:, :dimension], nodes.shape[1] - dimension

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from implicit.field.field import Field
 from implicit.surface.projection import in_working_precision, newton_to_surface
-from implicit.surface.quadrature import MeshedSample
+from implicit.surface.quadrature import Entered, MeshedSample
 
 # A point of the surface is missed where no point of the quadrature is so near, in cells; those of one cell lie closer.
 MISSED = 0.5
@@ -63,12 +63,7 @@ def unseen_parts(field: Field, meshed: MeshedSample) -> Unseen:
     """
     working = in_working_precision(field)
     cell = meshed.grid.cell
-    index, points = _entered(working, meshed)
-    if len(points):
-        points, arrived = newton_to_surface(working, points, reach=cell)
-        lower = meshed.grid.lower.to(points) + cell * index.to(points)
-        within = ((points >= lower - 1e-6 * cell) & (points <= lower + (1 + 1e-6) * cell)).all(dim=1)
-        points, index = points[arrived & within], index[arrived & within]
+    index, points = entered_cells(working, meshed) if meshed.entered is None else meshed.entered
     if len(points):
         near, _ = cKDTree(meshed.sample.points.double().cpu().numpy()).query(points.double().cpu().numpy())
         far = torch.from_numpy(near > MISSED * cell).to(points.device)
@@ -81,6 +76,23 @@ def unseen_parts(field: Field, meshed: MeshedSample) -> Unseen:
     share = len(points) / len(some)
     volumes, areas = _strewn(working, meshed, index)
     return Unseen(some, share * volumes, share * areas)
+
+
+def entered_cells(field: Field, meshed: MeshedSample) -> Entered:
+    """Return the cells whose corners have one sign but that hold a surface, and a point of it in each.
+
+    Args:
+        field: The field, in single precision or double.
+        meshed: Its quadrature, with the grid.
+    """
+    cell = meshed.grid.cell
+    index, points = _entered(field, meshed)
+    if len(points):
+        points, arrived = newton_to_surface(field, points, reach=cell)
+        lower = meshed.grid.lower.to(points) + cell * index.to(points)
+        within = ((points >= lower - 1e-6 * cell) & (points <= lower + (1 + 1e-6) * cell)).all(dim=1)
+        points, index = points[arrived & within], index[arrived & within]
+    return index, points
 
 
 def _entered(field: Field, meshed: MeshedSample) -> tuple[Int[Tensor, "n d"], Float[Tensor, "n d"]]:
