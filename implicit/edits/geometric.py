@@ -15,7 +15,13 @@ from torch import Tensor
 
 from implicit.arguments import require_positive, require_whole
 from implicit.edits.enough_points import carriers
-from implicit.edits.geometric_parts import MOST_PARTS, OFF_SURFACE_STRENGTH, GeometricOperation, PartSchedule
+from implicit.edits.geometric_parts import (
+    MOST_FINISHING,
+    MOST_PARTS,
+    OFF_SURFACE_STRENGTH,
+    GeometricOperation,
+    PartSchedule,
+)
 from implicit.edits.handles import Handle
 from implicit.edits.targets import Rest, SummedTargets, checked_handles
 from implicit.evolve.constraints import checked_constraints
@@ -25,6 +31,7 @@ from implicit.field.field import Field, require_field
 from implicit.renamed import renamed
 from implicit.sensitivity.pointwise_curvature import normal_turning
 from implicit.sensitivity.shape_functionals import Functional
+from implicit.sensitivity.sparse_rows import has_sparse_rows
 from implicit.surface.quadrature import SurfaceSample
 from implicit.surface.soundness import field_soundness
 
@@ -53,8 +60,9 @@ def geometric_edit(
         handles: Regions and their displacements. A region's weight between 0 and 1 scales the displacement; where
             several overlap, displacements add. Vectors are projected on the current normal in each step.
         rest: Target of points in no region: "fixed" at zero, "free", or fixed with this weight.
-        steps: Equal sub-steps; None chooses their number as the edit goes, from the linearity error of each, of which
-            a field whose gradient jumps (ReLU) is allowed more, for smaller steps leave as much.
+        steps: Equal sub-steps; None chooses their number as the edit goes: a few large ones, each at a share of the
+            points, and finishing ones that aim at the goal until what is missed falls no further. A field whose
+            gradient jumps (ReLU), or whose parameters act locally (grids), takes exact ones as its linearity allows.
         points: Number of points that carry the target, or the sample itself. They travel with the surface, and are
             drawn anew, more of them, where they have thinned out. Where each parameter acts near its own place alone
             (grids), as many are drawn as hold the surface between them too, up to 32,000, and `notes` says so; a
@@ -92,13 +100,14 @@ def geometric_edit(
     _require_within_bounds(field, targets.largest())
     before = field_soundness(field, resolution)
     kinked = steps is None and not normal_turning(field, sample.points).is_smooth
-    schedule = PartSchedule.of(steps, targets.largest() / field.size, kinked=kinked)
+    approaching = steps is None and not kinked and not has_sparse_rows(field, sample.points)
+    schedule = PartSchedule.of(steps, targets.largest() / field.size, kinked=kinked, approaching=approaching)
     operation = GeometricOperation(field, targets_of, sample, schedule, damping, off_surface_strength, track, seed)
     edit = evolve(
         field,
         operation,
         sample,
-        steps=MOST_PARTS if steps is None else steps,
+        steps=MOST_PARTS + MOST_FINISHING if steps is None else steps,
         constraints=constraints,
         resolution=resolution,
         track=track,

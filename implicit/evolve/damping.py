@@ -42,9 +42,15 @@ class AdaptiveDamping:
         """Return the start of an edit. Rounding in the normal matrix is about the precision times its trace."""
         return cls(1e-13 if dtype == torch.float64 else 1e-7)
 
-    def start(self, first: float) -> AdaptiveDamping:
-        """Return the damping of a step's first try: the last step's, or in the first step `first`."""
-        return replace(self, value=max(first if self.value is None else self.value, self.floor))
+    def start(self, first: float, floor: float | None = None) -> AdaptiveDamping:
+        """Return the damping of a step's first try: the last step's, or in the first step `first`.
+
+        Args:
+            first: Where it begins.
+            floor: Least damping from here on; None leaves what it was.
+        """
+        floor = self.floor if floor is None else floor
+        return replace(self, floor=floor, value=max(first if self.value is None else self.value, floor))
 
     def increase(self) -> AdaptiveDamping:
         """Return the damping after a try that missed its prediction by too much."""

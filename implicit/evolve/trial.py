@@ -114,7 +114,7 @@ class Attempt:
             StepRefused: The solve fails, or the last try loses the surface.
         """
         rule = self.problem.damping
-        damping = damping.start(rule.first)
+        damping = damping.start(rule.first, rule.floor)
         last: Trial | EditStatus = EditStatus.UNSTABLE
         for solves in range(1, TRIES + 1):
             solution, x = self._solve(damping)

@@ -30,12 +30,15 @@ class DampingRule:
         first: Where that begins, relative to the trace of the normal matrix.
         least: What it may fall to in later steps, in the same unit.
         allowed_error: Part of the motion by which the surface may miss its prediction.
+        floor: What it never falls below; None is what the precision carries of a normal matrix. Products of rows with
+            each other carry less.
     """
 
     fixed: float | None = None
     first: float = 1e-7
     least: float = 0.0
     allowed_error: float = 0.02
+    floor: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -107,13 +107,29 @@ class PlacedOnGrid:
 
 def placed_on_grid(field: Field, resolution: int, memory_limit: float = MEMORY_LIMIT) -> PlacedOnGrid:
     """Return the vertices and faces of placed_vertices with the grid that they were told from."""
+    field, grid, start = marched_crossings(field, resolution, memory_limit)
+    return PlacedOnGrid(placed_crossings(field, grid, start), start.faces, grid, start.signs, start)
+
+
+def marched_crossings(
+    field: Field, resolution: int, memory_limit: float = MEMORY_LIMIT
+) -> tuple[Field, Grid, Crossings]:
+    """Return the crossings that placed_on_grid places, with the field in the precision of that, and the grid."""
     require_field(field)
     require_resolution("resolution", resolution)
     require_positive("memory_limit", memory_limit if memory_limit != float("inf") else 1.0, "number of bytes")
     field = in_working_precision(field)
     grid = Grid.over(field, resolution)
     grid.require_memory(memory_limit)
-    start = march(field, grid)
+    return field, grid, march(field, grid)
+
+
+def placed_crossings(field: Field, grid: Grid, start: Crossings) -> Placement:
+    """Return crossings placed on the surface.
+
+    Raises:
+        SurfaceError: f jumps over zero at too many of them, or they cannot be placed.
+    """
     found = place_on_surface(field, start.points, reach=2 * grid.cell, segments=(start.lower, start.upper))
     found = on_their_side(field, start, found)
     if int(found.jumps.sum()) > LOST * len(start.points):
@@ -130,7 +146,7 @@ def placed_on_grid(field: Field, resolution: int, memory_limit: float = MEMORY_L
             )
         kept = torch.where((found.arrived | found.jumps)[:, None], found.points, start.points)
         found = replace(found, points=kept)
-    return PlacedOnGrid(found, start.faces, grid, start.signs, start)
+    return found
 
 
 def on_their_side(field: Field, start: Crossings, found: Placement) -> Placement:

@@ -91,6 +91,11 @@ class Crossings:
     faces: Int[Tensor, "m d"]
     signs: Int8[Tensor, "*nodes"]
 
+    def only(self, which: Bool[Tensor, " n"]) -> Crossings:
+        """Return some of the crossings, joined by nothing."""
+        parts = (x[which] for x in (self.points, self.lower, self.upper, self.outward))
+        return Crossings(*parts, self.faces[:0], self.signs)
+
 
 def march(field: Field, grid: Grid) -> Crossings:
     """Return where the edges of the grid cross f = 0, and what joins them.

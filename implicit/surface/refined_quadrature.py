@@ -50,8 +50,8 @@ TURNED = 0.985
 BESIDE = 0.05
 OTHERWISE = 0.5
 
-# Above this share of the cells that the surface crosses nothing about the fault of their triangles is local, and a finer
-# grid is cheaper. What no triangle is near is refined whatever its share, up to so many cells.
+# Above this share of the cells that the surface crosses nothing about the fault of their triangles is local, and a
+# finer grid is cheaper. What no triangle is near is refined whatever its share, up to so many cells.
 MOST_REFINED = 1 / 4
 MOST_MISSED = 4000
 

@@ -12,8 +12,8 @@ import torch
 
 from implicit.arguments import counted
 from implicit.field.field import Field, SurfaceError
-from implicit.surface.extraction import marched_surface, require_resolution
-from implicit.surface.topology import Topology, mesh_topology, surface_topology
+from implicit.surface.extraction import marched_crossings, placed_crossings, require_resolution
+from implicit.surface.topology import Topology, mesh_topology, surface_topology, vertices_of_pieces
 
 # Share of a cell's area (or length) below which a component is spurious. The one seen so far, on the ear of a rabbit,
 # had 4e-5.
@@ -23,6 +23,9 @@ SPURIOUS = 1e-2
 # And at most so many vertices of their surface at which slopes are measured.
 FINER = 8 / 3
 MEASURED = 4000
+
+# Vertices below which a piece may be a sliver.
+SMALL = 200
 
 
 @dataclass(frozen=True)
@@ -63,10 +66,18 @@ def field_soundness(field: Field, resolution: int = 48) -> Soundness:
         SurfaceError: There is no surface in the bounds, or it leaves them.
     """
     require_resolution("resolution", resolution)
-    points, faces = marched_surface(field, fine_cells(resolution))
-    topology = mesh_topology(points.double().cpu().numpy(), faces.cpu().numpy())
+    working, grid, start = marched_crossings(field, fine_cells(resolution))
+    faces = start.faces.cpu().numpy()
+    # Areas are as good without Newton's method, but those of slivers, which have none once they are on the surface.
+    measured = torch.zeros(len(start.points), dtype=torch.bool)
+    measured[:: -(-len(measured) // MEASURED)] = True
+    which = (measured | torch.from_numpy(vertices_of_pieces(len(measured), faces) < SMALL)).to(start.points.device)
+    placed = placed_crossings(working, grid, start.only(which)).points
+    points = start.points.to(placed)
+    points[which] = placed
+    topology = mesh_topology(points.double().cpu().numpy(), faces)
     cell = field.size / resolution
-    some = points[:: -(-len(points) // MEASURED)]
+    some = points[measured.to(points.device)].to(field.dtype)
     normals = field.normal(some)
     slopes = field.gradient(torch.cat([some, some + cell * normals, some - cell * normals])).norm(dim=1).double()
     low, median, high = (float(torch.quantile(slopes, q)) for q in (0.01, 0.5, 0.99))

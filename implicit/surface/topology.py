@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
@@ -92,12 +93,23 @@ def mesh_topology(V: Vertices, F: Faces) -> Topology:
         raise ValueError(f"F must name some of the {len(V)} rows of V, from 0 on, but does not.")
     ends = F if F.shape[1] == 2 else np.concatenate([F[:, [0, 1]], F[:, [1, 2]], F[:, [2, 0]]])
     code = np.unique(ends.min(axis=1) * len(V) + ends.max(axis=1))
-    edges = np.stack([code // len(V), code % len(V)], axis=1)
-    links = (np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1]))
-    count, label = csgraph.connected_components(sparse.coo_array(links, shape=(len(V), len(V))), directed=False)
-    areas = np.bincount(label[F[:, 0]], _contents(V, F), minlength=int(count))
+    count, label = _labelled(len(V), np.stack([code // len(V), code % len(V)], axis=1))
+    areas = np.bincount(label[F[:, 0]], _contents(V, F), minlength=count)
     faces = len(F) if F.shape[1] == 3 else 0
-    return Topology(int(count), len(V) - len(edges) + faces, tuple(float(a) for a in np.sort(areas)[::-1]))
+    return Topology(count, len(V) - len(code) + faces, tuple(float(a) for a in np.sort(areas)[::-1]))
+
+
+def vertices_of_pieces(vertices: int, F: Faces) -> NDArray[np.int64]:
+    """Return for each vertex of a mesh how many vertices its piece has."""
+    count, label = _labelled(vertices, F[:, :2] if F.shape[1] == 2 else np.concatenate([F[:, :2], F[:, 1:]]))
+    return np.asarray(np.bincount(label, minlength=count)[label])
+
+
+def _labelled(vertices: int, edges: Faces) -> tuple[int, NDArray[np.int32]]:
+    """Return how many pieces the edges join the vertices to, and the piece of each."""
+    links = (np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1]))
+    count, label = csgraph.connected_components(sparse.csr_array(links, shape=(vertices, vertices)), directed=False)
+    return int(count), label
 
 
 def _contents(V: Vertices, F: Faces) -> Vertices:
