@@ -24,7 +24,9 @@ def test_the_curvature_of_a_torus_has_its_closed_form_slope():
     torch.testing.assert_close((slope * along).sum(dim=1), -sin * 0.6 / (0.2 * ring**2), rtol=1e-8, atol=1e-8)
 
 
-@pytest.mark.parametrize(("ratio", "steps", "step_size"), [(1.2, 15, 2e-4), (2.2, 8, 4e-4)])
+@pytest.mark.parametrize(
+    ("ratio", "steps", "step_size"), [pytest.param(1.2, 15, 2e-4, marks=pytest.mark.nightly), (2.2, 8, 4e-4)]
+)
 def test_bending_takes_a_torus_to_cliffords(ratio, steps, step_size):
     """int kappa^2 / 4 of a torus is pi^2 c^2 / sqrt(c^2 - 1), c = R / r: least at c = sqrt(2), where it is 2 pi^2."""
     field = shapes.torus(0.5, 0.5 / ratio)

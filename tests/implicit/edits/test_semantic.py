@@ -206,7 +206,8 @@ def scaled(box, scale):
 
 
 @pytest.mark.parametrize(
-    "name", ["imnet-chairs", "dualsdf-chairs", pytest.param("deepsdf-chairs", marks=pytest.mark.nightly)]
+    "name",
+    ["imnet-chairs", *(pytest.param(name, marks=pytest.mark.nightly) for name in ("dualsdf-chairs", "deepsdf-chairs"))],
 )
 def test_when_one_leg_is_shortened_the_other_three_follow(name):
     model = families.bundled(name)
