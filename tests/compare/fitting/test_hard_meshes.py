@@ -40,7 +40,7 @@ def test_the_meshes_are_what_their_table_holds_them_against(name):
         assert meshref.volume(V, F) == pytest.approx(hard.volume, rel=1e-12)
 
 
-PLATE, MIDDLE = (0.2, 0.1, 0.006), (0.0, 0.0, 0.0078)  # half sides, between two nodes of 128 cells along the bounds
+PLATE, MIDDLE = (0.2, 0.1, 0.012), (0.0, 0.0, 0.0156)  # half sides, between two nodes of 64 cells along the bounds
 
 
 def plate():
@@ -49,7 +49,9 @@ def plate():
     return shapes.box(PLATE, MIDDLE, edge=0.002), 2 * (V - V.mean(axis=0)) * PLATE + MIDDLE, F
 
 
-def test_a_plate_thinner_than_a_cell_is_measured_with_finer_cells():
+def test_a_plate_thinner_than_a_cell_is_measured_with_finer_cells(monkeypatch):
+    monkeypatch.setattr(fit, "QUADRATURE", 64)
+    monkeypatch.setattr(fit, "RESOLUTION", 96)
     field, V, F = plate()
     with pytest.raises(implicit.SurfaceError, match="no surface"):
         implicit.surface_quadrature(field, fit.QUADRATURE)
@@ -61,7 +63,7 @@ def test_a_plate_thinner_than_a_cell_is_measured_with_finer_cells():
 def test_the_common_mesh_of_a_plate_is_whole_where_the_cells_of_the_case_are_too_few():
     field, V, F = plate()
     cells = sufficient_resolution(field, 32)
-    assert cells > 128
+    assert cells > 64
     V2, F2, remarks = common_mesh(field, 400, cells)
     assert remarks == []
     assert meshref.volume(V2, F2) == pytest.approx(meshref.volume(V, F), rel=0.1)
