@@ -48,9 +48,10 @@ OFF_SURFACE_POINTS = 1000
 FIRST_DAMPING, LEAST_DAMPING, ALLOWED = 1e-6, 3e-8, 3.0
 
 # Normal matrices that are made at most, steps that one of them serves, and the part of the energy before that a step is
-# to leave at most for another of its kind to be tried. Of wide fields, which can hold what is asked, more are made.
+# to leave at most for another of its kind to be tried. A matrix of a wide field costs more, and its caller looks at the
+# surface in between.
 MATRICES, STEPS, LEFT = 4, 3, 0.85
-MATRICES_OF_WIDE = 16
+MATRICES_OF_WIDE = 2
 
 # Factor by which the damping goes up where a step has raised the energy, and down after each matrix.
 HARDER = {False: 10.0, True: 4.0}
