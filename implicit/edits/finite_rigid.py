@@ -232,7 +232,7 @@ class _Points:
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """What the field is to follow, the field on its way there, and what to know of how the points were found."""
+    """Points for the field to follow, the field on its way there, and what to know of how they were found."""
 
     points: _Points
     follower: Follower
