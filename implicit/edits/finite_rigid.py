@@ -70,7 +70,8 @@ LOOKS = 64
 KILLING_SHARE = 0.75
 
 # Steps of the optimiser in each round by which the field follows: a further one is taken where the surface is not that
-# near to the points (root mean square over the size) but comes nearer, or has other pieces. What it learns from.
+# near to the points (root mean square over the size) but comes nearer, or has not followed at all, as of a bar turned
+# once after half of them, or has other pieces. What it learns from.
 ROUNDS = (150, 300, 600, 1200)
 NEAR, STALLED = 1e-3, 0.7
 SAMPLES, BATCH = 20_000, 2048
@@ -474,8 +475,13 @@ def _followed(problem: FiniteProblem, follower: Follower, rest: Topology, tell: 
         tell.round(number)
         trained, following = follower.train(steps, tell.field)
         found = None
-        near = following.miss_rms <= NEAR * trained.size or following.miss_rms > STALLED * last
-        if near or following.status is FitStatus.DIVERGED or number == len(ROUNDS) - 1:
+        stalled = following.miss_rms > STALLED * last and following.miss_rms <= FOLLOWED * trained.size
+        if (
+            following.miss_rms <= NEAR * trained.size
+            or stalled
+            or following.status is FitStatus.DIVERGED
+            or number == len(ROUNDS) - 1
+        ):
             found = _Found.of(problem, problem.precise.with_theta(trained.theta.double()), rest)
             if found.sound or following.status is FitStatus.DIVERGED:
                 break
