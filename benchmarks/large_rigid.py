@@ -119,6 +119,7 @@ class Scene:
         box = float(np.ptp(V, axis=0).max())
         surface = implicit.extract_mesh(edit.field, CELLS)
         target = target_motion(self.case, self.subject)
+        assert edit.tracked is not None
         moved = edit.tracked.double().cpu().numpy()
         missed = (moved - V - target.displacement)[target.at]
         parts = implicit.mesh_topology(*surface)

@@ -70,7 +70,8 @@ LOOKS = 64
 KILLING_SHARE = 0.75
 
 # Steps of the optimiser in each round by which the field follows: a further one is taken where the surface is not that
-# near to the points (root mean square over the size) but comes nearer, or has other pieces. What it learns from.
+# near to the points (root mean square over the size) but comes nearer, or has not followed at all, as of a bar turned
+# once after half of them, or has other pieces. What it learns from.
 ROUNDS = (150, 300, 600, 1200)
 NEAR, STALLED = 1e-3, 0.7
 SAMPLES, BATCH = 20_000, 2048
@@ -83,6 +84,9 @@ COUPLED_PRICE = 10.0
 LAST_STEPS = 6
 STRAIN_LEFT = 0.055
 FIRMNESS = (1.0, 1e2, 1e4)
+
+# Lots of steps by which a wide field comes nearer, and the damping of all but the first, over that.
+LOTS_OF_WIDE, LATER_FIRMNESS = 8, 0.06
 
 # The same ratio from which the ripples that are left are told of.
 RIPPLED = 0.3
@@ -185,9 +189,10 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
         own.append(_minimum_note(minimum))
     seconds_points = time.perf_counter() - began
     edited, following = _followed(problem, follower, before.topology, tell)
-    own += _following_notes(problem.field, following)
     row = _row(problem, edited.field, surface_map, minimum, following, seconds_points)
     end = _polished(problem, edited, surface_map, start.rest.laplacian, before.topology, row)
+    following = _at_the_end(following, end.field, surface_map)
+    own += _following_notes(problem.field, following)
     edit = _edit(problem, surface_map, end, began)
     reached = reached_target(edit) and following.miss_rms <= FOLLOWED * problem.field.size
     reached = reached and following.status is not FitStatus.DIVERGED
@@ -228,7 +233,7 @@ class _Points:
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """What the field is to follow, the field on its way there, and what to know of how the points were found."""
+    """Points for the field to follow, the field on its way there, and what to know of how they were found."""
 
     points: _Points
     follower: Follower
@@ -470,8 +475,13 @@ def _followed(problem: FiniteProblem, follower: Follower, rest: Topology, tell: 
         tell.round(number)
         trained, following = follower.train(steps, tell.field)
         found = None
-        near = following.miss_rms <= NEAR * trained.size or following.miss_rms > STALLED * last
-        if near or following.status is FitStatus.DIVERGED or number == len(ROUNDS) - 1:
+        stalled = following.miss_rms > STALLED * last and following.miss_rms <= FOLLOWED * trained.size
+        if (
+            following.miss_rms <= NEAR * trained.size
+            or stalled
+            or following.status is FitStatus.DIVERGED
+            or number == len(ROUNDS) - 1
+        ):
             found = _Found.of(problem, problem.precise.with_theta(trained.theta.double()), rest)
             if found.sound or following.status is FitStatus.DIVERGED:
                 break
@@ -519,16 +529,37 @@ def _polished(
     masses = torch.from_numpy(surface_map.rest.masses).to(found.field.theta)
     operation = TowardsPoints(goals, masses, laplacian, problem.seed)
     enough, began = STRAIN_LEFT * row["energy"], time.perf_counter()
+    taken = 0
     if found.sound:
-        closer, steps = nearer(operation, found.field, enough)
-        if steps > 0:
-            moved = _Found.of(problem, closer, rest)
-            found = moved if moved.sound else found
+        found, taken = _nearer(problem, found, operation, enough, rest)
     row = {**row, "strain_left": operation.left(found.field).energy()}
     row["seconds"] += time.perf_counter() - began
-    if found.sound and not problem.constraints and (len(found.field.theta) <= MOST or row["strain_left"] <= enough):
+    done = taken > 0 or len(found.field.theta) <= MOST or row["strain_left"] <= enough
+    if found.sound and not problem.constraints and done:
         return _End(found.field, [row], EditStatus.DONE, (), found.soundness)
     return _mended(problem, found, operation, rest, row)
+
+
+def _nearer(
+    problem: FiniteProblem, found: _Found, operation: TowardsPoints, enough: float, rest: Topology
+) -> tuple[_Found, int]:
+    """Return a sound field with less strain between its surface and the points, and how many steps were taken.
+
+    Of a wide field they are taken in lots, and the last sound one counts: on their way thin parts may come off and grow
+    together again.
+    """
+    lots = LOTS_OF_WIDE if len(found.field.theta) > MOST else 1
+    field, taken = found.field, 0
+    for lot in range(lots):
+        field, steps = nearer(replace(operation, firmness=1.0 if lot == 0 else LATER_FIRMNESS), field, enough)
+        taken += steps
+        if steps == 0:
+            break
+        moved = _Found.of(problem, field, rest)
+        found = moved if moved.sound else found
+        if moved.sound and operation.left(field).energy() <= enough:
+            break
+    return found, taken
 
 
 def _mended(problem: FiniteProblem, found: _Found, operation: TowardsPoints, rest: Topology, row: Row) -> _End:
@@ -541,7 +572,9 @@ def _mended(problem: FiniteProblem, found: _Found, operation: TowardsPoints, res
     status, notes, first = EditStatus.DONE, tuple[str, ...](), found.field
     for number in range(LAST_STEPS):
         needed = bool(problem.constraints) and not rows
-        if not needed and found.sound and left.energy() <= STRAIN_LEFT * row["energy"]:
+        # Steps of wide fields know no strain, and cost much.
+        near = left.energy() <= STRAIN_LEFT * row["energy"] or (len(found.field.theta) > MOST and bool(rows))
+        if not needed and found.sound and near:
             break
         for firmness in FIRMNESS:
             fresh = replace(state, damping=AdaptiveDamping.of_precision(first.dtype)) if firmness > 1 else state
@@ -697,6 +730,17 @@ def _strain_notes(row: Row) -> list[str]:
         f"The field's surface ripples about where the points are, a strain of {part:.2g} times the energy of the "
         "points. A wider network follows better, and of shapes with planes and sharp edges one of softplus units."
     ]
+
+
+def _at_the_end(following: Following, field: Field, surface_map: SurfaceMap) -> Following:
+    """Return how near a field that could not follow has come by the last steps."""
+    if following.miss_rms <= FOLLOWED * field.size:
+        return following
+    goals, reach = torch.from_numpy(surface_map.moved).to(field.theta), field.size / 20
+    found, arrived = newton_to_surface(field, goals, reach=reach)
+    apart = torch.where(arrived, (found - goals).norm(dim=1), reach)
+    rms, most = float(apart.square().mean().sqrt()), float(apart.max())
+    return replace(following, miss_rms=rms, miss_max=most, lost=float((~arrived).double().mean()))
 
 
 def _following_notes(field: Field, following: Following) -> list[str]:

@@ -48,9 +48,10 @@ OFF_SURFACE_POINTS = 1000
 FIRST_DAMPING, LEAST_DAMPING, ALLOWED = 1e-6, 3e-8, 3.0
 
 # Normal matrices that are made at most, steps that one of them serves, and the part of the energy before that a step is
-# to leave at most for another of its kind to be tried. Of wide fields, which can hold what is asked, more are made.
+# to leave at most for another of its kind to be tried. A matrix of a wide field costs more, and its caller looks at the
+# surface in between.
 MATRICES, STEPS, LEFT = 4, 3, 0.85
-MATRICES_OF_WIDE = 16
+MATRICES_OF_WIDE = 2
 
 # Factor by which the damping goes up where a step has raised the energy, and down after each matrix.
 HARDER = {False: 10.0, True: 4.0}
@@ -245,11 +246,12 @@ class _Products:
         scale = torch.cat([-1 / field.gradient_length(field.gradient(points)), roots / target.scale])
         everywhere = torch.cat([points, target.points])
         if fits(field, len(everywhere)):
-            rows: RowFactors | Tensor = factors(field, everywhere).scaled(scale)
-            products = rows.gram()
+            known = factors(field, everywhere).scaled(scale)
+            rows: RowFactors | Tensor = known
+            products = known.gram()
         else:
-            rows = parameter_gradient(field, everywhere).mul_(scale[:, None])
-            products = gram(rows)
+            made = rows = parameter_gradient(field, everywhere).mul_(scale[:, None])
+            products = gram(made)
         lower = products.float().cpu().tril()
         whole = (lower + lower.tril(-1).T).numpy()
         V, U = len(points), left.factor.astype(np.float32)
@@ -276,7 +278,8 @@ def _solved(
     """Return the solution with a symmetric matrix, of which the lower triangle counts, damped relative to its trace."""
     lower = matrix.cpu().numpy().astype(dtype)
     lower[np.diag_indices_from(lower)] += damping * np.trace(lower)
-    factored, solve = lapack.get_lapack_funcs(("potrf", "potrs"), (lower,))
+    single = dtype == np.float32
+    factored, solve = (lapack.spotrf, lapack.spotrs) if single else (lapack.dpotrf, lapack.dpotrs)
     # The triangle below the diagonal is the upper one of the Fortran-ordered view.
     factor, failed = factored(lower.T, lower=0, overwrite_a=1)
     if failed:

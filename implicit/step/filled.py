@@ -106,7 +106,7 @@ def _ties(field: Field, points: FloatArray, first: int) -> IntArray:
     count = min(NEIGHBOURS, len(points) - 1)
     if not len(inside):
         return np.zeros((0, 2), dtype=np.int64)
-    found = cKDTree(points).query(inside, k=count + 1)[1][:, 1:]
+    found = np.asarray(cKDTree(points).query(inside, k=count + 1)[1])[:, 1:]
     ties = np.stack([np.repeat(np.arange(first, len(points)), count), found.ravel()], axis=1)
     return np.asarray(ties[_inside(field, points[ties].mean(axis=1))])
 
