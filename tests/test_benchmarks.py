@@ -13,7 +13,18 @@ import implicit
 
 ROOT = Path(__file__).parent.parent
 FILES = sorted(file.stem for file in (ROOT / "benchmarks").glob("[a-z]*.py"))
-SCRIPTS = {"common", "diagram_page", "flat_memory", "flows_agree", "pages", "side_by_side", "whole_edits"}
+SCRIPTS = {
+    "common",
+    "diagram_page",
+    "editor_pace",
+    "editor_picture",
+    "flat_memory",
+    "flows_agree",
+    "large_rigid",
+    "pages",
+    "side_by_side",
+    "whole_edits",
+}
 SHORT = {"basis", "extraction", "import_time", "mesh_flows", "quadrature", "solvers"}
 LARGE = pytest.mark.nightly  # of published sizes, or with many solves of the mesh beside
 KINDS = ("time_", "timeraw_", "peakmem_", "track_")
