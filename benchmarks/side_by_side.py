@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib.util
 import io
 import os
 import sys
@@ -38,11 +39,12 @@ ROWS = {
     "memory": ("scaling", "memory_of_a_large_decoder"),
     "phases": ("phases", "phases"),
 }
+BY_IARAP = {"samples", "iarap"}
 BY_NAME_ONLY = {"scaling", "memory", "phases"}  # with nothing beside them
 
 # Small problems, of --quick; what is not here is small as it is.
 QUICK: dict[str, dict[str, Any]] = {
-    "extraction": {"resolution": 48},
+    "extraction": {"resolution": 96},
     "samples": {"n": 2000},
     "smoothing": {"vertices": 2000, "steps": 2},
     "killing": {"sizes": (1000,), "repeats": 1},
@@ -87,13 +89,18 @@ def main() -> None:
     chosen = given.rows or [name for name in ROWS if name not in BY_NAME_ONLY]
     if unknown := set(chosen) - set(ROWS):
         parser.error(f"there is no row {', '.join(sorted(unknown))}; there are {', '.join(ROWS)}")
+    absent = [name for name in chosen if name in BY_IARAP and importlib.util.find_spec("iarap") is None]
+    if absent and (given.write or given.rows):
+        parser.error(f"{', '.join(absent)} compare with iarap, which is not installed: pip install -e '.[bench]'")
     start = time.perf_counter()
     with contextlib.redirect_stdout(Both()) as printed:
         if set(chosen) - BY_NAME_ONLY - {"floor"}:
             print("| what | theirs, s | ours, s | ratio | at this accuracy |\n|---|---|---|---|---|", flush=True)
-        for name in chosen:
+        for name in [name for name in chosen if name not in absent]:
             file, function = ROWS[name]
             getattr(import_module(f"rows.{file}"), function)(**(QUICK.get(name, {}) if given.quick else {}))
+    for name in absent:
+        print(f"\nLeft out: {name}, for iarap is not installed (pip install -e '.[bench]').")
     seconds = time.perf_counter() - start
     print(f"\n{seconds:.0f} s in all.")
     if given.write:

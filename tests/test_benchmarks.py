@@ -16,9 +16,12 @@ FILES = sorted(file.stem for file in (ROOT / "benchmarks").glob("[a-z]*.py"))
 SCRIPTS = {
     "common",
     "diagram_page",
+    "editor_pace",
+    "editor_picture",
     "flat_memory",
     "flows_agree",
     "hard_meshes",
+    "large_rigid",
     "pages",
     "side_by_side",
     "whole_edits",

@@ -37,7 +37,7 @@ from implicit.sensitivity.pointwise_curvature import normal_turning
 from implicit.sensitivity.weak_curvature import surface_mean_curvature
 from implicit.surface.extraction import require_resolution
 from implicit.surface.quadrature import MeshedSample, SurfaceSample, require_sample
-from implicit.surface.refined_quadrature import refined_quadrature
+from implicit.surface.refined_quadrature import MOST_REFINED, refined_quadrature
 from implicit.surface.unseen import Unseen, unseen_parts
 
 Density = Callable[[Tensor], Tensor]
@@ -264,6 +264,11 @@ def require_functional(name: str, value: object) -> None:
 # fifth of all shapes.
 COARSER = (2 / 3, 1 / 2)
 
+# Powers by which they are taken to be further off where cells of the grid are refined. There errors are of single
+# cells, and fall by fits and starts: the next coarser grid may be little worse; half the cells see next to nothing of
+# some thin part, but guard against two errors that agree by chance.
+REFINED_ORDERS = (1, 5)
+
 # What the estimate allows for beyond the sum of its parts.
 MARGIN = 2.0
 
@@ -329,15 +334,16 @@ def with_errors(
     """
     values = known[resolution]
     errors = [0.0] * len(values)
-    for share in COARSER:
+    most = 1.0 if meshed.refined else MOST_REFINED  # like is compared with like
+    for share, order in zip(COARSER, REFINED_ORDERS, strict=True):
         cells = max(4, round(share * resolution))
         if cells == resolution:
             continue
-        orders = [1 if meshed.refined else functional.least_order for functional in functionals]
-        gains = [(resolution / cells) ** order - 1 for order in orders]
+        orders = [order if meshed.refined else functional.least_order for functional in functionals]
+        gains = [(resolution / cells) ** power - 1 for power in orders]
         try:
             if cells not in known:
-                sample = refined_quadrature(field, cells).sample
+                sample = refined_quadrature(field, cells, most=most).sample
                 known[cells] = tuple(functional.value(field, sample) for functional in functionals)
         except SurfaceError:  # such coarse cells may not even have a surface: then nothing bounds the error
             errors = [max(e, abs(v)) for e, v in zip(errors, values, strict=True)]

@@ -58,7 +58,7 @@ MOST_MISSED = 4000
 IN_PLANE_STEPS = 20
 
 
-def refined_quadrature(field: Field, resolution: int) -> MeshedSample:
+def refined_quadrature(field: Field, resolution: int, *, most: float = MOST_REFINED) -> MeshedSample:
     """Return the quadrature of meshed_quadrature with unresolved cells refined, in 3D; in the plane the same.
 
     The vertices and faces are still those of the grid, for whoever counts pieces.
@@ -66,6 +66,8 @@ def refined_quadrature(field: Field, resolution: int) -> MeshedSample:
     Args:
         field: The field.
         resolution: Cells along the longest side of the bounds.
+        most: Share of the cells that the surface crosses above which those whose triangles are off it are left as
+            they are.
 
     Raises:
         SurfaceError: There is no surface in the bounds, it leaves them, or the gradient vanishes on it.
@@ -77,7 +79,7 @@ def refined_quadrature(field: Field, resolution: int) -> MeshedSample:
         return meshed
     working = in_working_precision(field)
     meshed = replace(meshed, entered=entered_cells(working, meshed))
-    unresolved = _unresolved(working, curved, meshed)
+    unresolved = _unresolved(working, curved, meshed, most)
     if len(unresolved) == 0:
         return meshed
     refined, pieces, mesh = _without_lost_seams(working, marched, unresolved)
@@ -91,7 +93,7 @@ def _cells_of(marched: PlacedOnGrid, points: Float[Tensor, "n 3"]) -> Int[Tensor
     return torch.minimum(((points - grid.lower) / grid.cell).floor().long().clamp(min=0), top)
 
 
-def _unresolved(field: Field, curved: CurvedMesh, meshed: MeshedSample) -> Int[NDArray, "n 3"]:
+def _unresolved(field: Field, curved: CurvedMesh, meshed: MeshedSample, most: float) -> Int[NDArray, "n 3"]:
     """Return the cells of the grid whose triangles are not on the surface, or whose surface has no triangles."""
     nodes, cell = curved.nodes, meshed.grid.cell
     points, across = cell_points(nodes, nodes.new_full((len(nodes), 2), 1 / 3))
@@ -101,7 +103,7 @@ def _unresolved(field: Field, curved: CurvedMesh, meshed: MeshedSample) -> Int[N
     followed = (value.abs() <= OFF * cell * slope) & (cosine >= TURNED)
     all_cells, which = torch.unique(_cells_of(curved.marched, nodes[:, :3].mean(dim=1)), dim=0, return_inverse=True)
     found = [all_cells[torch.unique(which[~followed])]]
-    if len(found[0]) > MOST_REFINED * len(all_cells):
+    if len(found[0]) > most * len(all_cells):
         found = []
     assert meshed.entered is not None
     index, points = meshed.entered

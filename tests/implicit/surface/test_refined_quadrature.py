@@ -19,7 +19,7 @@ SPHERE = shapes.sphere(0.6, (0.013, 0.027, -0.041))
 def with_random_cells(monkeypatch, share):
     """Have a share of all cells of a grid taken for unresolved."""
 
-    def some(field, curved, meshed):
+    def some(field, curved, meshed, most):
         return np.argwhere(np.random.default_rng(0).random(meshed.grid.cells) < share)
 
     monkeypatch.setattr(module, "_unresolved", some)
