@@ -13,7 +13,7 @@ import implicit
 
 ROOT = Path(__file__).parent.parent
 FILES = sorted(file.stem for file in (ROOT / "benchmarks").glob("[a-z]*.py"))
-SCRIPTS = {"common", "flat_memory", "side_by_side", "whole_edits"}
+SCRIPTS = {"common", "flat_memory", "pace", "side_by_side", "whole_edits"}
 SHORT = {"basis", "extraction", "import_time", "mesh_flows", "quadrature", "solvers"}
 LARGE = pytest.mark.nightly  # of published sizes, or with many solves of the mesh beside
 KINDS = ("time_", "timeraw_", "peakmem_", "track_")
@@ -63,6 +63,13 @@ def test_every_benchmark_runs_on_its_first_parameters(benchmarks, name):
                 compile(inspect.cleandoc(result), method, "exec")
     for benchmark, given in ready.values():
         getattr(benchmark, "teardown", lambda *_: None)(*given)
+
+
+def test_the_page_of_the_pace_is_that_of_its_rows(benchmarks):
+    module = benchmarks("pace")
+    kept = json.loads(module.RESULTS.read_text())
+    assert list(kept["rows"]) == list(module.ROWS)
+    assert module.PAGE.read_text() == module.page(kept)
 
 
 def test_the_page_of_whole_edits_is_that_of_its_rows_and_a_cell_runs(benchmarks):
