@@ -22,6 +22,7 @@ SCRIPTS = {
     "flows_agree",
     "hard_meshes",
     "large_rigid",
+    "pace",
     "pages",
     "side_by_side",
     "whole_edits",
@@ -75,6 +76,13 @@ def test_every_benchmark_runs_on_its_first_parameters(benchmarks, name):
                 compile(inspect.cleandoc(result), method, "exec")
     for benchmark, given in ready.values():
         getattr(benchmark, "teardown", lambda *_: None)(*given)
+
+
+def test_the_page_of_the_pace_is_that_of_its_rows(benchmarks):
+    module = benchmarks("pace")
+    kept = json.loads(module.RESULTS.read_text())
+    assert list(kept["rows"]) == list(module.ROWS)
+    assert module.PAGE.read_text() == module.page(kept)
 
 
 def test_the_page_of_whole_edits_is_that_of_its_rows_and_a_cell_runs(benchmarks):

@@ -44,7 +44,7 @@ MOST_PARTS = 24
 # at other points) by 4 parts and 4 finishing ones, where 21 exact parts leave 0.09 %.
 APPROACH_FIRST, APPROACH_LINEARITY = 1 / 40, 0.08
 
-# Points that a part of an approach and a finishing part take, about, and off the surface; their damping at first,
+# Points that a part of an approach and a finishing part take at most, and off the surface; their damping at first,
 # relative to the trace; and the part of their motion by which they may miss their prediction, which is made up for.
 APPROACH_POINTS, FINISHING_POINTS = 1000, 2000
 APPROACH_ERROR = 0.4
@@ -246,8 +246,8 @@ class GeometricOperation:
         """Return which of the points carry the target in a part (N,) bool: of an approach, every k-th in turn."""
         if not memory.schedule.approaching:
             return memory.used
-        about = APPROACH_POINTS if memory.schedule.now < 1.0 else FINISHING_POINTS
-        turns = max(1, round(int(memory.used.sum()) / about))
+        most = APPROACH_POINTS if memory.schedule.now < 1.0 else FINISHING_POINTS
+        turns = max(1, math.ceil(int(memory.used.sum()) / most))
         rank = memory.used.cumsum(0) - 1  # among those used
         return memory.used & (rank % turns == step % turns)
 

@@ -23,6 +23,10 @@ from implicit.step.symmetric import add_gram, gram, times
 # more than conjugate gradients.
 DENSE_LIMIT = 8000
 
+# Error of products that are summed in single precision, relative to their trace, up to which they are taken; and the
+# equations of a block from which it is worth while. Dampings of a tenth of it are those of the least rigid motions.
+ROUNDING, FEWEST_SINGLE = 2e-9, 200
+
 
 class Rows(NamedTuple):
     """A block of weighted equations matrix @ x[first : first + m] = target, which leave the other unknowns out."""
@@ -84,6 +88,8 @@ class Equations(ABC):
     Attributes:
         right: A^T W y, in float64.
         weight: Sum of the weights.
+        single_products: Whether products of equations in float64 may be summed in single precision, where the error
+            that this is measured to make is below ROUNDING of their trace.
     """
 
     def __init__(self, size: int, like: Tensor, tolerance: float = 1e-12, seed: int = 0) -> None:
@@ -91,6 +97,7 @@ class Equations(ABC):
         self.right = torch.zeros(size, dtype=torch.float64, device=like.device)
         self.square = 0.0  # the sum of w y^2
         self.weight = 0.0
+        self.single_products = False
 
     @abstractmethod
     def add(self, rows: Rows) -> None:
@@ -248,6 +255,7 @@ class NormalMatrix(Equations):
         """Take over equations that have been kept so far."""
         normal = cls(kept.size, kept.like, kept.tolerance, kept.seed)
         normal.right, normal.square, normal.weight = kept.right, kept.square, kept.weight
+        normal.single_products = kept.single_products
         for rows in kept.rows:
             normal._accumulate(rows)
         return normal
@@ -257,10 +265,30 @@ class NormalMatrix(Equations):
         self._accumulate(rows)
 
     def _accumulate(self, rows: Rows) -> None:
-        if rows.matrix.shape[1] == self.size:
-            add_gram(self._matrix, rows.rooted())
-        elif rows.matrix.numel() > 0:
-            self._matrix[rows.columns, rows.columns] += gram(rows.rooted().T)
+        if rows.matrix.numel() == 0:
+            return
+        rooted = rows.rooted()
+        single = self._single(rooted) if self.single_products else None
+        if single is not None:
+            self._matrix[rows.columns, rows.columns].add_(single)
+        elif rows.matrix.shape[1] == self.size:
+            add_gram(self._matrix, rooted)
+        else:
+            self._matrix[rows.columns, rows.columns] += gram(rooted.T)
+
+    def _single(self, rooted: Float[Tensor, "k m"]) -> Float[Tensor, "m m"] | None:
+        """Return the lower triangle of rooted^T rooted, summed in single precision; None where that does not do.
+
+        The error is measured on a vector of random signs, of which a symmetric matrix of independent errors makes half
+        its norm.
+        """
+        if rooted.dtype != torch.float64 or len(rooted) < FEWEST_SINGLE:
+            return None
+        found = gram(rooted.to(torch.float32).T).double()
+        signs = random_signs(rooted.shape[1], 1, self.seed)[:, 0].to(rooted)
+        error = times(found, signs) - rooted.T @ (rooted @ signs)
+        allowed = ROUNDING * float(found.diagonal().sum())
+        return found if 2 * float(error.norm() / signs.norm()) <= allowed else None
 
     def trace(self) -> float:
         return float(self._matrix.diagonal().double().sum())

@@ -90,16 +90,26 @@ class LeastSquares:
         tolerance: Relative residual at which conjugate gradients stop; None is 1e-12 in float64, 1e-5 in float32.
         seed: Seed of the estimates of trace and rank.
         sparse: Whether most unknowns appear in few equations or in none, so that only those that do are factored.
+        single_products: Whether products of equations in float64 may be summed in single precision, where the measured
+            error allows it: for dampings of some 1e-9 of the trace and more.
     """
 
     def __init__(
-        self, size: int, like: Tensor, *, tolerance: float | None = None, seed: int = 0, sparse: bool = False
+        self,
+        size: int,
+        like: Tensor,
+        *,
+        tolerance: float | None = None,
+        seed: int = 0,
+        sparse: bool = False,
+        single_products: bool = False,
     ) -> None:
         if tolerance is None:
             tolerance = 1e-12 if like.dtype == torch.float64 else 1e-5
         self.size = size
         self._like = like
         self._equations: Equations = (SparseEquations if sparse else KeptEquations)(size, like, tolerance, seed)
+        self._equations.single_products = single_products
         self._trace: float | None = None  # once it is known, nothing can be added
 
     def add(self, rows: Rows | SparseRows) -> None:

@@ -20,6 +20,9 @@ from implicit.surface.projection import newton_to_surface
 
 Row = dict[str, Any]
 
+# Dampings from which products of rows in float64 may be summed in single precision, relative to their trace.
+LEAST_SINGLE = 1e-9
+
 
 @dataclass(frozen=True)
 class DampingRule:
@@ -119,7 +122,9 @@ def assemble(problem: StepProblem) -> LeastSquares:
             system.add(target.sparse_rows(space))
         return system
     if space.size <= DENSE_LIMIT and not _is_cheaper_by_products(problem):
-        system = LeastSquares(space.size, space.field.theta)
+        rule = problem.damping
+        single = (rule.least if rule.fixed is None else 0.0) >= LEAST_SINGLE
+        system = LeastSquares(space.size, space.field.theta, single_products=single)
         for energy in energies:
             for rows in energy.rows(space):
                 system.add(rows)

@@ -276,10 +276,17 @@ def _confirmed_area(field: Field, estimate: float, resolution: int) -> float:
 
 def farthest_order(points: Float[Tensor, "m d"], n: int) -> Tensor:
     """Return the indices of n of the points, each the farthest from those before it; the first is the first."""
-    distance = torch.full_like(points[:, 0], float("inf"))
+    distance = torch.full_like(points.detach()[:, 0], float("inf"))
     chosen = torch.zeros(n, dtype=torch.long, device=points.device)
+    # A coordinate at a time: sums over three neighbours in memory take three times as long.
+    axes = [axis.contiguous() for axis in points.detach().T]
+    square, term = torch.empty_like(distance), torch.empty_like(distance)
     for k in range(1, n):
-        distance = torch.minimum(distance, (points - points[chosen[k - 1]]).square().sum(dim=1))
+        last = chosen[k - 1]
+        torch.sub(axes[0], axes[0][last], out=square).square_()
+        for axis in axes[1:]:
+            square += torch.sub(axis, axis[last], out=term).square_()
+        torch.minimum(distance, square, out=distance)
         chosen[k] = distance.argmax()
     return chosen
 

@@ -302,3 +302,21 @@ def test_points_that_lose_their_neighbours_are_not_drawn_without_end(monkeypatch
 def test_a_displacement_longer_than_the_bounds_is_refused(motion):
     with pytest.raises(ValueError, match="from corner to corner"):
         geometric_edit(shapes.sphere(0.5), Handle(EVERYWHERE, motion), points=60, resolution=16)
+
+
+def test_parts_chosen_by_the_edit_approach_at_shares_of_the_points_and_finish_at_the_goal():
+    """The cow's top raised: parts take every other point, finishing ones all, and leave less than the approach."""
+    field = shapes.bundled("spot")
+    lift = Handle(HalfSpace((0, 0.35, 0), (0, 1, 0), falloff=0.3), (0.0, 0.05, 0.0))
+    edit = geometric_edit(field, lift, points=1600, resolution=16)
+    fractions = [row["fraction"] for row in edit.history]
+    finishing = fractions.count(1.0) - 1
+    assert finishing >= 1
+    assert [row["points_used"] for row in edit.history] == [800] * (len(fractions) - finishing) + [1600] * finishing
+    assert edit.status is EditStatus.DONE
+    own, others = (
+        edit.error_field(sample).square().mean().sqrt() for sample in (None, sample_surface(field, 500, seed=3))
+    )
+    assert float(others) < 4e-3
+    approached = geometric_edit(field, lift, points=1600, resolution=16, steps=len(fractions) - finishing)
+    assert float(own) < 0.7 * float(approached.error_field().square().mean().sqrt())

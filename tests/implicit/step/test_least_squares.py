@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from implicit.step.equations import NormalMatrix
 from implicit.step.least_squares import LeastSquares, Operator, Rows, SolveStatus
 
 
@@ -203,3 +204,39 @@ def test_each_prints_as_one_line():
         assert len(repr(thing)) < 200
     assert repr(rows) == "Rows(40 equations in unknowns 0 to 19, float64)"
     assert repr(system) == "LeastSquares(NormalMatrix(20 unknowns, float64))"
+
+
+def decaying(rng, equations=700, unknowns=400, worst=-4.0):
+    """Rows whose singular values fall by some decades, as those of sensitivities do."""
+    left = torch.from_numpy(rng.standard_normal((equations, unknowns)))
+    right = torch.linalg.qr(torch.from_numpy(rng.standard_normal((unknowns, unknowns)))).Q
+    return left @ torch.diag(torch.logspace(0, worst, unknowns, dtype=torch.float64)) @ right
+
+
+@pytest.mark.parametrize("single", [False, True])
+def test_products_in_single_precision_leave_the_objective_of_a_damped_system(single):
+    """The minimum of |A x - y|^2 + damping |x|^2 by numpy's factors; at 1e-8 of the trace rounding costs nothing."""
+    rng = np.random.default_rng(5)
+    A, y = decaying(rng), torch.from_numpy(rng.standard_normal(700))
+    system = LeastSquares(400, A, single_products=single)
+    system.add(Rows(A, y, torch.ones(700, dtype=torch.float64)))
+    damping = 1e-8 * float(A.square().sum())
+    x = system.solve(damping).x
+    stacked = np.concatenate([A.numpy(), damping**0.5 * np.eye(400)])
+    best = np.linalg.lstsq(stacked, np.concatenate([y.numpy(), np.zeros(400)]), rcond=None)[0]
+
+    def objective(x):
+        return float((A @ x - y).square().sum() + damping * x.square().sum())
+
+    assert objective(x) / objective(torch.from_numpy(best)) - 1 == pytest.approx(0, abs=1e-4 if single else 1e-10)
+    assert torch.equal(x, system.solve(damping).x)
+
+
+def test_products_that_single_precision_would_spoil_are_summed_in_double():
+    """All rows all but the same: their products round alike, and the measured error of the sum is too large."""
+    rng = np.random.default_rng(5)
+    same = torch.from_numpy(rng.standard_normal((1, 400))) + 1e-9 * torch.from_numpy(rng.standard_normal((700, 400)))
+    equations = NormalMatrix(400, same)
+    equations.single_products = True
+    equations.add(Rows(same, same[:, 0], torch.ones(700, dtype=torch.float64)))
+    torch.testing.assert_close(equations._matrix.tril(), (same.T @ same).tril(), rtol=1e-12, atol=0)

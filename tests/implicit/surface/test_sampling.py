@@ -71,6 +71,16 @@ def test_farthest_points_keep_apart():
     assert sorted(line[farthest_order(line, 5), 0].tolist()) == pytest.approx([0, 0.25, 0.5, 0.75, 1])
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_each_farthest_point_is_that_of_all_distances(dimension):
+    points = torch.randn(60, dimension, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
+    distances = torch.cdist(points, points)
+    chosen = [0]
+    for _ in range(11):
+        chosen.append(int(distances[chosen].amin(dim=0).argmax()))
+    assert farthest_order(points, 12).tolist() == chosen
+
+
 def test_farthest_points_on_a_sphere_are_nearly_as_far_apart_as_can_be():
     """At best n points are as far apart as in a hexagonal lattice, sqrt(8 pi / (sqrt(3) n)) R."""
     n = 800

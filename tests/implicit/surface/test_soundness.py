@@ -1,5 +1,7 @@
 """Slopes and pieces of shapes for which both are known."""
 
+import math
+
 import pytest
 
 from implicit import shapes
@@ -27,6 +29,14 @@ def test_a_piece_more_is_told_with_its_area_and_one_less_as_merged():
 def test_a_hole_that_closes_is_told_by_the_euler_number():
     torus, ball = field_soundness(shapes.torus()), field_soundness(shapes.sphere(radius=0.5))
     assert "from 0 to 2" in changes(torus, ball)[0]
+
+
+def test_areas_are_those_of_the_shapes():
+    """Without Newton's method for most vertices: 4 pi r^2 of a large and a small ball, the small one placed whole."""
+    balls = [shapes.sphere(radius=0.4, center=(-0.4, 0, 0)), shapes.sphere(radius=0.04, center=(0.6, 0, 0))]
+    large, small = field_soundness(shapes.smooth_union(*balls, blend=0.001)).topology.areas
+    assert large == pytest.approx(4 * math.pi * 0.4**2, rel=1e-3)
+    assert small == pytest.approx(4 * math.pi * 0.04**2, rel=0.1)
 
 
 def test_a_flattened_field_is_told():
