@@ -86,7 +86,7 @@ STRAIN_LEFT = 0.055
 FIRMNESS = (1.0, 1e2, 1e4)
 
 # Lots of steps by which a wide field comes nearer, and the damping of all but the first, over that.
-LOTS_OF_WIDE, LATER_FIRMNESS = 4, 0.06
+LOTS_OF_WIDE, LATER_FIRMNESS = 8, 0.06
 
 # The same ratio from which the ripples that are left are told of.
 RIPPLED = 0.3
