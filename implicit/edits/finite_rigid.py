@@ -194,7 +194,7 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
     following = _at_the_end(following, end.field, surface_map)
     own += _following_notes(problem.field, following)
     edit = _edit(problem, surface_map, end, began)
-    reached = reached_target(edit) and following.miss_rms <= FOLLOWED * problem.field.size
+    reached = reached_target(edit, _way(problem.targets)) and following.miss_rms <= FOLLOWED * problem.field.size
     reached = reached and following.status is not FitStatus.DIVERGED
     edit = replace(
         edit,
@@ -418,6 +418,12 @@ def turning(targets: AveragedTargets) -> float:
             total[number] += _angle(whole.T @ _rotation(before, after, group))
         before = after
     return max(total)
+
+
+def _way(targets: AveragedTargets) -> float:
+    """Return how far from its place a handle takes a point at most, on its path."""
+    at, start = targets.prescribed, targets.points
+    return max(float((targets.positions(k / LOOKS) - start)[at].norm(dim=1).max()) for k in range(1, LOOKS + 1))
 
 
 def _rotation(before: Tensor, after: Tensor, which: Tensor) -> Tensor:

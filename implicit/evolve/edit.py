@@ -255,14 +255,20 @@ def edit_status(
     return ended
 
 
-def reached_target(edit: Edit) -> bool:
-    """Return whether the error field is within REACHED_SHARE (root mean square) where a displacement was asked for."""
+def reached_target(edit: Edit, way: float = 0.0) -> bool:
+    """Return whether the error field is within REACHED_SHARE (root mean square) where a displacement was asked for.
+
+    Args:
+        edit: The edit.
+        way: Largest motion on the way, a length: a path that leads back, as a whole turn, is judged by it.
+    """
     error = edit.error_field()
     targeted = torch.isfinite(edit.wanted).all(dim=1)
     moved = targeted & (edit.wanted.norm(dim=1) > 0)
     if not bool(moved.any()):
         return True
-    allowed = REACHED_SHARE * edit.weights[moved].sum().sqrt()
+    longer = max(1.0, way / float(edit.wanted[moved].norm(dim=1).max()))
+    allowed = REACHED_SHARE * longer * edit.weights[moved].sum().sqrt()
     return bool((error[targeted] * edit.weights[targeted].sqrt()).norm() <= allowed)
 
 

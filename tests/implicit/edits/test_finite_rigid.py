@@ -1,6 +1,7 @@
 """Rigid edits of any size: a rod bent by 45 degrees, its volume held, its points, field and energy in agreement."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from implicit.edits import finite_rigid, towards_points
 from implicit.edits.finite_rigid import turning
 from implicit.edits.targets import AveragedTargets
 from implicit.edits.towards_points import TowardsPoints, nearer
-from implicit.evolve.edit import EditStatus
+from implicit.evolve.edit import EditStatus, reached_target
 from implicit.sensitivity.weak_curvature import WeakSurface
 from implicit.step.spokes_and_rims import SpokesAndRims
 from implicit.step.tangential_basis import CosineFeatures
@@ -257,3 +258,13 @@ def test_coupled_steps_refuse_a_basis_that_is_none_and_options_of_linear_steps(r
         rigid_edit(rod, handles, method="coupled", tangential=3, points=100)
     with pytest.raises(ValueError, match='damping must be left out with method="coupled"'):
         rigid_edit(rod, handles, method="coupled", damping=1.0, points=100)
+
+
+def test_a_path_that_leads_back_is_judged_by_its_way(bent):
+    """A motion that ends where it began asks for nothing: what is missed counts by how far the path has led."""
+    edit, _, _ = bent
+    back = replace(edit, wanted=1e-12 * edit.wanted)
+    assert reached_target(edit)
+    assert not reached_target(back)
+    assert reached_target(replace(edit, wanted=edit.wanted + 0.05), way=10.0)
+    assert not reached_target(replace(edit, wanted=edit.wanted + 0.05))
