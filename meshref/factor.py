@@ -3,8 +3,8 @@
 A plain LU of a singular matrix returns numbers with a small residual and no warning: here the pivots are looked
 at. Measured on one thread, seconds for the 84k unknowns of a 35k-vertex Killing matrix: CHOLMOD 1.8, SuperLU with
 the ordering below 5.7, cholespy 10.7, SuperLU with its default ordering 31; for 8k unknowns: cholespy 0.11,
-CHOLMOD 0.14, SuperLU 0.30. In another run, seconds of the processor beside other work: PARDISO 2.9 where SuperLU took 19,
-and for 8k unknowns 0.16, SuperLU 0.35, cholespy 0.43.
+CHOLMOD 0.14, SuperLU 0.30. In another run, beside other work: PARDISO 2.9 where SuperLU
+took 19, and for 8k unknowns 0.16, SuperLU 0.35, cholespy 0.43.
 """
 
 from __future__ import annotations
