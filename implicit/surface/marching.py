@@ -93,8 +93,8 @@ class Crossings:
 
     def only(self, which: Bool[Tensor, " n"]) -> Crossings:
         """Return some of the crossings, joined by nothing."""
-        parts = (x[which] for x in (self.points, self.lower, self.upper, self.outward))
-        return Crossings(*parts, self.faces[:0], self.signs)
+        points, lower, upper, outward = (x[which] for x in (self.points, self.lower, self.upper, self.outward))
+        return Crossings(points, lower, upper, outward, self.faces[:0], self.signs)
 
 
 def march(field: Field, grid: Grid) -> Crossings:

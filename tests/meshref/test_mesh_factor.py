@@ -7,12 +7,13 @@ import pytest
 from scipy import sparse
 
 from meshref import MeshError, NotPositiveDefiniteError, cotangent_laplacian, icosphere
-from meshref.factor import factorise
+from meshref.factor import _has_pardiso, factorise
 
 
 def installed_solvers():
     modules = {"superlu": "scipy", "cholespy": "cholespy", "cholmod": "sksparse"}
-    return [name for name, module in modules.items() if importlib.util.find_spec(module) is not None]
+    found = [name for name, module in modules.items() if importlib.util.find_spec(module) is not None]
+    return [*found, "pardiso"] if _has_pardiso() else found
 
 
 def laplacian():
@@ -27,6 +28,12 @@ def test_definite_systems_are_solved(solver, columns, rng):
     factor = factorise(A, solver)
     assert factor.solver == solver
     np.testing.assert_allclose(factor.solve(A @ x), x, atol=1e-11)
+
+
+@pytest.mark.skipif(not _has_pardiso(), reason="pypardiso is not installed")
+def test_pardiso_notices_what_is_indefinite():
+    with pytest.raises(NotPositiveDefiniteError, match="not positive definite"):
+        factorise(sparse.csc_array(laplacian() - 10.0 * sparse.eye_array(642)), "pardiso")
 
 
 def test_a_singular_matrix_is_noticed():
