@@ -27,6 +27,7 @@ from compare.studies.workbench import EXACT, Workbench
 
 TIME = 8e-3
 SAMPLES = 4000
+LEAST = 1e-3  # change of an area that is drawn
 
 
 def measured(
@@ -104,13 +105,19 @@ def drawn(rows: Sequence[dict[str, Any]], path: Path) -> None:
     across = min(3, len(rows))
     down = -(-len(rows) // across)
     figure = Figure(figsize=(4.2 * across, 3.4 * down), layout="constrained")
-    for axes, row in zip(figure.subplots(down, across, squeeze=False).flat, rows, strict=False):
+    room = figure.subplots(down, across, squeeze=False).flat
+    for axes in room[len(rows) :]:
+        axes.set_visible(False)
+    for axes, row in zip(room, rows, strict=False):
         names = [name for name in row["curves"] if name != "mesh"]
         for k, name in enumerate(names):
             shade = 0.25 + 0.75 * (k + 1) / len(names)
             axes.plot(*np.transpose(row["curves"][name]), color="#0072b2", alpha=shade, linewidth=1.2, label=name)
         axes.plot(*np.transpose(row["curves"]["mesh"]), color="#d55e00", linestyle="--", linewidth=1.4, label="mesh")
+        axes.plot(TIME, row["area of the mesh"], "D", color="#d55e00", markersize=4, label="mesh, extrapolated")
         axes.set_title(row["shape"], fontsize=10)
+        if abs(row["area of the mesh"]) < LEAST:
+            axes.set_ylim(-LEAST, LEAST)  # a sphere stays as it is
         axes.set_xlabel("time of the flow")
         axes.set_ylabel("change of the area")
         axes.grid(alpha=0.3, linewidth=0.4)

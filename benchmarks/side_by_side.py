@@ -44,7 +44,7 @@ BY_NAME_ONLY = {"scaling", "memory", "phases"}  # with nothing beside them
 
 # Small problems, of --quick; what is not here is small as it is.
 QUICK: dict[str, dict[str, Any]] = {
-    "extraction": {"resolution": 96},
+    "extraction": {"resolution": 160},
     "samples": {"n": 2000},
     "smoothing": {"vertices": 2000, "steps": 2},
     "killing": {"sizes": (1000,), "repeats": 1},

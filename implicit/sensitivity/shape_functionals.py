@@ -267,7 +267,7 @@ COARSER = (2 / 3, 1 / 2)
 # Powers by which they are taken to be further off where cells of the grid are refined. There errors are of single
 # cells, and fall by fits and starts: the next coarser grid may be little worse; half the cells see next to nothing of
 # some thin part, but guard against two errors that agree by chance.
-REFINED_ORDERS = (1, 5)
+REFINED_ORDERS = (1, 4)
 
 # What the estimate allows for beyond the sum of its parts.
 MARGIN = 2.0

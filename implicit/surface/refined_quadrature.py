@@ -263,8 +263,8 @@ def _on_their_edges(field: Field, lower: Float[Tensor, "n 3"], upper: Float[Tens
     points = torch.where((at_lower.abs() < at_upper.abs())[:, None], lower, upper)
     crossed = (at_lower < 0) != (at_upper < 0)
     tolerance = field.size * (1e-12 if field.dtype == torch.float64 else 1e-6)
-    ends = [x[crossed] for x in (lower, upper, at_lower, at_upper)]
-    points[crossed] = bracketed_zeros(field, *ends, tolerance).points
+    low, high, at_low, at_high = (x[crossed] for x in (lower, upper, at_lower, at_upper))
+    points[crossed] = bracketed_zeros(field, low, high, at_low, at_high, tolerance).points
     return points
 
 

@@ -103,7 +103,7 @@ class RefinedGrid:
         for axis, end in product(range(3), (0, 1)):
             beside = index.copy()
             beside[:, axis] += 2 * end - 1
-            within = ((beside >= 0) & (beside < self.flags.shape)).all(axis=1)
+            within = np.all((beside >= 0) & (beside < self.flags.shape), axis=1, keepdims=True)[:, 0]
             within[within] = ~self.flags[tuple(beside[within].T)]
             told = as_corners_tell(np.take(inside[within], -end, axis=axis + 1))
             found.append(beside[within][~told])
@@ -122,9 +122,12 @@ class RefinedGrid:
         cells = np.floor(places[faces].mean(axis=1) / FACTOR).astype(np.int64)
         kept = ~self.flags[tuple(cells.T)]
         fine = self._march()
-        joined = [np.concatenate(pair) for pair in zip((places, lower, upper), fine[:3], strict=True)]
         faces = np.concatenate([faces[kept], fine[3] + len(places)])
-        return Pieces(*joined, faces, cells[kept], *self._seams(*joined[:2], joined[2], faces))
+        places, lower, upper = (
+            np.concatenate(both) for both in ((places, fine[0]), (lower, fine[1]), (upper, fine[2]))
+        )
+        at_seam, planes = self._seams(places, lower, upper, faces)
+        return Pieces(places, lower, upper, faces, cells[kept], at_seam, planes)
 
     def _march(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
         """Return places, lower and upper ends of the vertices in refined cells, and their triangles."""
@@ -162,7 +165,7 @@ class RefinedGrid:
         in_face = (lower == upper) & (lower % FACTOR == 0)
         in_face &= ~(lower == upper).all(axis=1, keepdims=True)
         first = np.where(in_face, np.rint(places / FACTOR) - 1, np.floor(places / FACTOR)).astype(np.int64)
-        about = np.stack([refined[tuple((first + 1 + in_face * step).T)] for step in product((0, 1), repeat=3)])
+        about = [refined[tuple((first + 1 + in_face * step).T)] for step in product((0, 1), repeat=3)]
         planes = np.full(faces.shape, -1)
         for k in range(3):
             a, b = faces[:, k], faces[:, (k + 1) % 3]
@@ -173,7 +176,7 @@ class RefinedGrid:
                 above[:, axis] = np.rint(lower[a, axis] / FACTOR)
                 below = above - (np.arange(3) == axis)
                 planes[shared & (refined[tuple((above + 1).T)] != refined[tuple((below + 1).T)]), k] = axis
-        return about.any(axis=0) & ~about.all(axis=0), planes
+        return np.logical_or.reduce(about) & ~np.logical_and.reduce(about), planes
 
 
 def as_corners_tell(inside: Bool[NDArray, "n s s"]) -> Bool[NDArray, " n"]:
