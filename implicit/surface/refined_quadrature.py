@@ -53,6 +53,10 @@ OTHERWISE = 0.5
 # Above this share of the cells that the surface crosses nothing about the fault of their triangles is local, and a
 # finer grid is cheaper. What no triangle is near is refined whatever its share, up to so many cells.
 MOST_REFINED = 1 / 4
+
+# A mesh that was split along creases in more than this share of its triangles is a polyhedron, as of ReLU networks. Its
+# corners are in most cells, and a finer grid brings the error of their triangles down for less.
+MOST_CREASED = 0.1
 MOST_MISSED = 4000
 
 IN_PLANE_STEPS = 20
@@ -103,7 +107,8 @@ def _unresolved(field: Field, curved: CurvedMesh, meshed: MeshedSample, most: fl
     followed = (value.abs() <= OFF * cell * slope) & (cosine >= TURNED)
     all_cells, which = torch.unique(_cells_of(curved.marched, nodes[:, :3].mean(dim=1)), dim=0, return_inverse=True)
     found = [all_cells[torch.unique(which[~followed])]]
-    if len(found[0]) > most * len(all_cells):
+    flat = len(curved.marched.faces)
+    if len(found[0]) > most * len(all_cells) or len(nodes) - flat > MOST_CREASED * flat:
         found = []
     assert meshed.entered is not None
     index, points = meshed.entered
