@@ -23,7 +23,7 @@ DIAGRAM = DIAGRAMS["work-precision"]
 
 
 def write_page(rows: Sequence[DiagramRow], folder: Path, page: Path) -> None:
-    """Copy the picture of a folder beside the page, and write its sentences under it."""
+    """Copy the picture of a folder beside the page, and write its sentences under it, and which points failed."""
     picture = f"{DIAGRAM.name}.png"
     shutil.copyfile(folder / "chart.png", page.parent / picture)
     made = made_by("python -m benchmarks.diagram_page")
@@ -33,6 +33,11 @@ def write_page(rows: Sequence[DiagramRow], folder: Path, page: Path) -> None:
     ]
     lines += [f"{made}; seconds are medians of two to five runs.", ""]
     lines += [f"- {sentence}" for sentence in sentences(DIAGRAM, rows)]
+    reasons = dict.fromkeys(row.status for row in rows if row.failed)
+    for reason in reasons:
+        lines.append(
+            f"- Not drawn: {', '.join(row.key for row in rows if row.failed and row.status == reason)}. {reason}"
+        )
     replace_part(page, DIAGRAM.name, "\n".join(lines))
 
 
@@ -51,7 +56,7 @@ def main(arguments: Sequence[str]) -> int:
     rows = run_diagram(DIAGRAM, folder, quick=asked.quick, on_row=told)
     failed = [row.key for row in rows if row.failed]
     print(f"{time.perf_counter() - start:.0f} s in all; failed: {', '.join(failed) or 'none'}.")
-    if not asked.quick and not failed:
+    if not asked.quick:
         write_page(rows, folder, DOCS / "studies.md")
     return 1 if failed else 0
 
