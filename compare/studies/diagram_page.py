@@ -12,7 +12,7 @@ from typing import Any
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.ticker import LogFormatter, LogLocator, NullFormatter
 
 from compare.files import replace_file
 from compare.runs.columns import SIDE_COLOURS
@@ -123,7 +123,10 @@ def _draw(axes: Axes, diagram: Diagram, rows: Sequence[DiagramRow], panel: str, 
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.yaxis.set_major_locator(LogLocator(numticks=8))
-    axes.yaxis.set_minor_formatter(NullFormatter())
+    low, high = axes.get_ylim()
+    # Within a decade there may be no power of ten to read from.
+    axes.yaxis.set_minor_formatter(NullFormatter() if high > 20 * low else LogFormatter(minor_thresholds=(2, 0.5)))
+    axes.tick_params(axis="y", which="minor", labelsize=6.5)
     axes.set_ylabel(diagram.panels[panel], fontsize=8.5)
     said = [
         f"{shape}: {in_short(('field', 'mesh'), UNITS[cost], c)}" for shape, c in comparisons(rows, panel, cost).items()
