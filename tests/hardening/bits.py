@@ -58,7 +58,7 @@ RUNS: dict[str, Callable[[], object]] = {
     "extract": lambda: implicit.extract_mesh(BULB, 16),
     "geometric": lambda: implicit.geometric_edit(BALL, BUMP, steps=2, **SMALL),
     "rigid": lambda: implicit.rigid_edit(BULB, [TOP, FOOT], tangential=CosineFeatures(BULB, waves=40), **SMALL),
-    "smooth": lambda: implicit.smooth(BULB, steps=2, step_size=1e-4, constraints=[implicit.Volume()], **SMALL),
+    "smooth": lambda: implicit.smooth(BALL, steps=2, step_size=1e-4, constraints=[implicit.Volume()], **SMALL),
     "semantic": semantic,
     "expressibility": lambda: implicit.expressibility(BALL, BUMP, steps=2, points=100).error,
     "trained step": lambda: (

@@ -107,7 +107,7 @@ def is_like_others(name: str, operation: str) -> bool:
     """Return whether a cell of the table shows what another one does."""
     if operation in DEAR:
         return name not in HELD
-    if operation in IN_TURNS and (list(ARCHITECTURES).index(name) + IN_TURNS.index(operation)) % 2:
+    if operation in IN_TURNS and (list(ARCHITECTURES).index(name) + IN_TURNS.index(operation)) % 3:
         return True
     return name in LIKE_OTHERS and operation not in OF_WEIGHTS
 

@@ -56,6 +56,7 @@ def test_a_hole_does_not_disturb_the_sign(rng):
     np.testing.assert_allclose(np.abs(answer.distance), np.abs(np.linalg.norm(P, axis=1) - 1), atol=1e-2)
 
 
+@pytest.mark.nightly
 def test_the_open_bunny_agrees_with_the_mended_one(real_mesh, rng):
     V, F = real_mesh("bunny-35k.obj")
     mended_V, mended_F, report = mend_mesh(V, F)

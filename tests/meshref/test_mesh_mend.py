@@ -267,7 +267,12 @@ WILD = {
 }
 
 
-@pytest.mark.parametrize("name", WILD)
+LARGE = ("armadillo.obj", "bunny-35k.obj")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.nightly) if name in LARGE else name for name in WILD]
+)
 def test_meshes_found_in_the_wild_become_solids(real_mesh, name):
     _, _, report = mended(*real_mesh(name))
     assert report.steps[: len(WILD[name])] == WILD[name]

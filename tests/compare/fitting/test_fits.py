@@ -7,6 +7,7 @@ from compare.fitting.fit import fit_mesh
 from compare.fitting.fits import COLUMNS, main, table
 
 
+@pytest.mark.nightly
 def test_a_folder_of_meshes_becomes_a_table(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("compare.fitting.fits.fit_mesh", partial(fit_mesh, steps=600))
     V, F = meshref.icosphere(3, radius=2.0)

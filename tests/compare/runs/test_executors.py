@@ -75,6 +75,7 @@ def assert_complete_and_equal(records, in_process, folder):
     assert sorted(record.key for record in read(folder)) == sorted(record.key for record in in_process)
 
 
+@pytest.mark.nightly
 def test_two_processes_give_what_one_gives_even_if_one_is_killed(cases, in_process, tmp_path):
     killed = []
     with Workers(2) as workers:

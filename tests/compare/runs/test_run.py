@@ -127,6 +127,7 @@ def test_a_pool_gives_what_a_loop_gives(small_run, small_cases):
             assert one.sides["implicit"][name] == pytest.approx(other.sides["implicit"][name], rel=1e-3)
 
 
+@pytest.mark.nightly
 def test_the_same_case_gives_the_same_numbers(small_run, small_cases):
     again = run_case(small_cases[0])
     first = small_run.records[0].sides["implicit"]
@@ -150,6 +151,7 @@ def test_a_shape_that_does_not_exist_is_a_row(tmp_path):
         run_cases([Case(str(tmp_path / "gone.obj"), "smooth")])
 
 
+@pytest.mark.nightly
 def test_an_editor_that_stops_short_is_named_in_the_notes(shape_file):
     """The explicit method on the mesh grows instead of shrinking at a step far beyond its limit."""
     parameters = {"steps": 4, "step_size": 0.01, "mesh": {"method": "explicit", "preserve_volume": None}}

@@ -33,7 +33,10 @@ def features(spot):
 
 @pytest.mark.parametrize(
     ("motion", "steps"),
-    [(RigidMotion(translation=(0.03, 0.02, 0.0)), 1), (RigidMotion(rotation=(0, 0.5, 0.1)), 2)],
+    [
+        pytest.param(RigidMotion(translation=(0.03, 0.02, 0.0)), 1, marks=pytest.mark.nightly),
+        (RigidMotion(rotation=(0, 0.5, 0.1)), 2),
+    ],
     ids=["translation", "rotation"],
 )
 def test_a_common_motion_of_all_handles_moves_everything_alike(spot, features, motion, steps):

@@ -90,7 +90,7 @@ def test_the_estimate_is_above_the_error_on_95_of_100_shapes_and_within_30_times
 
 @pytest.mark.parametrize(
     "shape",
-    [lambda: with_fin(0.2), lambda: with_fin(0.2143), two_sheets, with_spike],
+    [lambda: with_fin(0.2), lambda: with_fin(0.2143), pytest.param(two_sheets, marks=pytest.mark.nightly), with_spike],
     ids=["fin", "fin2", "sheets", "spike"],
 )
 def test_what_is_thinner_than_a_cell_is_measured_to_its_estimate(shape):
