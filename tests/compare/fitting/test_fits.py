@@ -2,6 +2,8 @@
 
 from functools import partial
 
+import pytest
+
 import meshref
 from compare.fitting.fit import fit_mesh
 from compare.fitting.fits import COLUMNS, main, table
