@@ -34,8 +34,7 @@ from benchmarks import whole_edits
 from compare import Case, Subject, default_cases, prepare_subject
 from compare.paper.rigidity import mesh_of, pulled_case
 from compare.runs.operations import target_motion
-from implicit import families, shapes
-from implicit.edits.handles import Handle
+from implicit import shapes
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS, PAGE = ROOT / "docs" / "pace.json", ROOT / "docs" / "pace.md"
@@ -131,39 +130,14 @@ def smoothing() -> Found:
 
 def small_semantic_edit() -> Found:
     """A chair's foot raised until 5 % is left: the formula at the paper's damping, and ours adapting its own."""
-    from benchmarks.rows.semantic_edit import DAMPING, LEFT, published_step
+    from benchmarks.rows.semantic_edit import DAMPING, RaisedFoot
 
-    model = families.bundled("deepsdf-chairs")
-    chair = model.field(model.latents[3].clone())
-    V, _ = implicit.extract_mesh(chair, resolution=64)
-    foot = Handle(implicit.Ball(V[V[:, 1].argmin()], 0.1), (0.0, 0.1, 0.0))
-    points, ways = implicit.prescribe(chair, foot)
-    goals = points + ways
-
-    def published() -> torch.Tensor:
-        code, x = chair.theta.clone(), points.clone()
-        for _ in range(50):
-            left = goals - x
-            step = published_step(chair, code, x, lambda n, left=left: (left * n).sum(dim=1), DAMPING)
-            d_code, B, normals, slopes = step
-            along = left - (left * normals).sum(dim=1, keepdim=True) * normals
-            code, x = code + d_code, x + (B @ d_code)[:, None] * normals + along
-            x = x - (chair.function(code, x) / slopes)[:, None] * normals
-            if (((goals - x) * normals).sum(dim=1)).norm() <= LEFT * (ways * normals).sum(dim=1).norm():
-                break
-        return code
-
-    ours = partial(implicit.semantic_edit, chair, points, ways, tolerance=LEFT, damping=None)
-    published(), ours()
-    theirs_s, code = seconds(published, 7)
-    same_s, _ = seconds(partial(ours, damping=DAMPING), 7)
-    ours_s, edit = seconds(ours, 7)
-
-    def missed(theta: torch.Tensor) -> float:
-        f, slopes = chair.with_theta(theta).value_and_gradient(goals)
-        return float((f / slopes.norm(dim=1)).norm() / ways.norm())
-
-    words = f"goals missed by {100 * missed(code):.1f} %, {100 * missed(edit.field.theta):.1f} %; at the formula's own "
+    scene = RaisedFoot()
+    scene.published(), scene.ours(None)
+    theirs_s, code = seconds(scene.published, 7)
+    same_s, _ = seconds(partial(scene.ours, DAMPING), 7)
+    ours_s, ours = seconds(partial(scene.ours, None), 7)
+    words = f"goals missed by {100 * scene.missed(code):.1f} %, {100 * scene.missed(ours):.1f} %; at the formula's own "
     return Found(ours_s, theirs_s, words + f"damping ours takes {same_s:.2g} s")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import torch
 from rows.table import best, row
@@ -65,21 +66,24 @@ def published_step(
     return torch.linalg.lstsq(stacked, target[:, None], driver="gels").solution[:, 0], B, normals, slopes[:, 0]
 
 
-def semantic_edit() -> None:
-    """A foot of a chair raised by a tenth of its height, until a twentieth of the way is left.
+class RaisedFoot:
+    """A foot of a small chair, to be raised by a tenth of its height until a twentieth of the way is left."""
 
-    The points of the published formula follow by what each step says of them and one step of Newton's method.
-    """
-    semantic_step()
-    model = families.bundled("deepsdf-chairs")
-    chair = model.field(model.latents[3].clone())
-    V, _ = implicit.extract_mesh(chair, resolution=64)
-    foot = implicit.Handle(implicit.Ball(V[V[:, 1].argmin()], 0.1), (0.0, 0.1, 0.0))
-    points, ways = implicit.prescribe(chair, foot)
-    goals = points + ways
+    def __init__(self) -> None:
+        model = families.bundled("deepsdf-chairs")
+        self.chair = model.field(model.latents[3].clone())
+        V, _ = implicit.extract_mesh(self.chair, resolution=64)
+        foot = implicit.Handle(implicit.Ball(V[V[:, 1].argmin()], 0.1), (0.0, 0.1, 0.0))
+        self.points, self.ways = implicit.prescribe(self.chair, foot)
+        self.goals = self.points + self.ways
 
-    def published() -> torch.Tensor:
-        code, x = chair.theta.clone(), points.clone()
+    def published(self) -> torch.Tensor:
+        """Return the code by the published formula.
+
+        Its points follow by what each step says of them and one step of Newton's method.
+        """
+        chair, goals, ways = self.chair, self.goals, self.ways
+        code, x = chair.theta.clone(), self.points.clone()
         for _ in range(50):
             left = goals - x
             step = published_step(chair, code, x, lambda n, left=left: (left * n).sum(dim=1), DAMPING)
@@ -91,16 +95,24 @@ def semantic_edit() -> None:
                 break
         return code
 
-    def ours() -> torch.Tensor:
-        return implicit.semantic_edit(chair, points, ways, damping=DAMPING, tolerance=LEFT).field.theta
+    def ours(self, damping: float | None) -> torch.Tensor:
+        """Return the code by implicit.semantic_edit."""
+        return implicit.semantic_edit(self.chair, self.points, self.ways, damping=damping, tolerance=LEFT).field.theta
 
-    def missed(code: torch.Tensor) -> float:
-        """Distance of the goals from the surface, root mean square, over the way."""
-        f, slopes = chair.with_theta(code).value_and_gradient(goals)
-        return float((f / slopes.norm(dim=1)).norm() / ways.norm())
+    def missed(self, code: torch.Tensor) -> float:
+        """Return the distance of the goals from the surface, root mean square, over the way."""
+        f, slopes = self.chair.with_theta(code).value_and_gradient(self.goals)
+        return float((f / slopes.norm(dim=1)).norm() / self.ways.norm())
+
+
+def semantic_edit() -> None:
+    """A foot of a chair raised, by the published formula and by ours at its damping."""
+    semantic_step()
+    scene = RaisedFoot()
+    published, ours, missed = scene.published, partial(scene.ours, DAMPING), scene.missed
 
     published(), ours()  # the first derivative of its kind makes torch import half of itself
     (theirs_s, theirs), (ours_s, mine) = best(published, ours, repeats=7)
     a, b = missed(theirs), missed(mine)
     words = f"goals missed by {100 * a:.1f} %, {100 * b:.1f} % of the way"
-    row(f"semantic edit, {len(points)} points: the published formula", theirs_s, ours_s, words, b <= max(LEFT, a))
+    row(f"semantic edit, {len(scene.points)} points: the published formula", theirs_s, ours_s, words, b <= max(LEFT, a))
