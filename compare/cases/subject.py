@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field as default
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 if TYPE_CHECKING:  # torch takes seconds to import
-    from implicit import Field
+    from implicit import Field, Integral
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -39,6 +40,11 @@ class Subject:
         """Return the cells to extract the surface with, where a case has so many: these, or as many as it needs."""
         return max(resolution, self.resolution)
 
+    @cached_property
+    def integrals(self) -> tuple[Integral, ...]:
+        """Volume and area of the field itself, with their errors, measured once for all cases."""
+        return volume_and_area(self.field)
+
     @property
     def scale(self) -> float:
         """Number of the user's units in a unit of the field."""
@@ -47,3 +53,10 @@ class Subject:
     def to_user(self, points: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
         """Return points of the field in the user's units."""
         return points * self.scale + np.asarray(self.field.units.offset)
+
+
+def volume_and_area(field: Field, resolution: int = 64) -> tuple[Integral, ...]:
+    """Return the two of a field's surface, by fourth-order quadrature on so many cells, with their errors."""
+    import implicit
+
+    return implicit.integrate(field, (implicit.Volume(), implicit.Area()), resolution)

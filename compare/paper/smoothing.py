@@ -71,8 +71,7 @@ def draw(request: Request) -> list[Finding]:
 
 def _field_run(request: Request, subject: Subject, marks: Sequence[int], held: bool, cells: int) -> Run:
     field = subject.field
-    volume = implicit.integrate(field, implicit.Volume(), cells).value
-    area = implicit.integrate(field, implicit.Area(), cells).value
+    volume, area = (found.value for found in implicit.integrate(field, (implicit.Volume(), implicit.Area()), cells))
     constraints = (implicit.Volume(target=volume),) if held else ()
     name = "neural field, volume held" if held else "neural field"
     shapes, rows, status = [implicit.extract_mesh(field, 96)], [], ""

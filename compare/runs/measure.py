@@ -30,7 +30,7 @@ from numpy import ndarray
 import implicit
 import meshref
 from compare.cases.case import Case
-from compare.cases.subject import Subject
+from compare.cases.subject import Subject, volume_and_area
 from compare.operations.operation import Halfway, Outcome, Target, operation_of
 from compare.runs.rows import BetweenRow, CurveRow, SideRow
 
@@ -170,14 +170,12 @@ class Edited:
     bodies: int  # of the extracted mesh
 
 
-def measure_field(subject: Subject, edited: implicit.Field, resolution: int = 64) -> dict[str, float]:
+def measure_field(subject: Subject, edited: implicit.Field) -> dict[str, float]:
     """Return volume and area of the field itself before and after, by fourth-order quadrature, with their errors.
 
     They take the place of those of the common mesh carried along, which has the error of its flat triangles.
     """
-    held = (implicit.Volume(), implicit.Area())
-    found = [[implicit.integrate(field, of, resolution) for of in held] for field in (subject.field, edited)]
-    (volume, area), (volume_after, area_after) = found
+    (volume, area), (volume_after, area_after) = subject.integrals, volume_and_area(edited)
     return {
         **_sizes(subject.scale, (volume.value, volume_after.value), (area.value, area_after.value)),
         "volume_error": (volume.error + volume_after.error) / abs(volume.value),

@@ -11,6 +11,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -255,9 +256,10 @@ def prepare_subject(case: Case, *, folder: Path | None = None, progress: Progres
     N = edited.normal(torch.from_numpy(V)).numpy()
     seconds = {"field": fitted - start, "common mesh": perf_counter() - fitted}
     subject = Subject(edited, V, F, N, (*notes, *remarks), fit, seconds, resolution)
-    if files is not None:
-        files.write(subject)
-    return subject
+    if files is None:
+        return subject
+    files.write(subject)
+    return files.read()  # what every other case of it will read
 
 
 @dataclass(frozen=True)
@@ -283,16 +285,22 @@ class _Files:
         replace_file(self.stem.with_suffix(".json"), json.dumps(row).encode())
 
     def read(self) -> Subject:
-        import torch
+        return _read(self.stem, self.case.module, self.stem.with_suffix(".json").stat().st_mtime_ns)
 
-        import implicit
-        import meshref
 
-        row = json.loads(self.stem.with_suffix(".json").read_text())
-        field = implicit.load_field(self.stem.with_suffix(".safetensors"), module=self.case.module).to(torch.float64)
-        V, F = meshref.read_mesh(self.stem.with_suffix(".ply"))
-        N = field.normal(torch.from_numpy(V)).numpy()
-        return Subject(field, V, F, N, tuple(row["notes"]), row["fit"], row["seconds"], row.get("resolution", 0))
+@lru_cache(maxsize=1)
+def _read(stem: Path, module: str | None, _: int) -> Subject:
+    """Return a subject that was kept; the next case of the same gets the same, with what was measured of it."""
+    import torch
+
+    import implicit
+    import meshref
+
+    row = json.loads(stem.with_suffix(".json").read_text())
+    field = implicit.load_field(stem.with_suffix(".safetensors"), module=module).to(torch.float64)
+    V, F = meshref.read_mesh(stem.with_suffix(".ply"))
+    N = field.normal(torch.from_numpy(V)).numpy()
+    return Subject(field, V, F, N, tuple(row["notes"]), row["fit"], row["seconds"], row.get("resolution", 0))
 
 
 def _files_of(case: Case, folder: Path) -> _Files:

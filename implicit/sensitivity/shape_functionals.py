@@ -23,7 +23,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field as default
-from typing import ClassVar, Literal, get_args
+from typing import ClassVar, Literal, get_args, overload
 
 import numpy as np
 import torch
@@ -273,6 +273,7 @@ REFINED_ORDERS = (1, 4)
 MARGIN = 2.0
 
 
+@overload
 def integrate(
     field: Field,
     functional: Functional,
@@ -280,7 +281,28 @@ def integrate(
     *,
     tolerance: float | None = None,
     finest: int = 256,
-) -> Integral:
+) -> Integral: ...
+
+
+@overload
+def integrate(
+    field: Field,
+    functional: Sequence[Functional],
+    resolution: int = 64,
+    *,
+    tolerance: float | None = None,
+    finest: int = 256,
+) -> tuple[Integral, ...]: ...
+
+
+def integrate(
+    field: Field,
+    functional: Functional | Sequence[Functional],
+    resolution: int = 64,
+    *,
+    tolerance: float | None = None,
+    finest: int = 256,
+) -> Integral | tuple[Integral, ...]:
     """Return the functional of the field's surface, with an estimate of its error.
 
     The estimate has two parts. The values on grids of two thirds and a half of the cells are off by more, at least with
@@ -289,7 +311,8 @@ def integrate(
 
     Args:
         field: The field.
-        functional: Volume(), Area() or another.
+        functional: Volume(), Area() or another; a list or tuple of them is measured on the same points, which is what
+            takes the time, and comes back as a tuple in its order.
         resolution: Cells along the longest side of the bounds.
         tolerance: Relative error to come to: where the estimate is above it, half as many cells again are taken until
             it is not, or up to `finest`. None measures once.
@@ -299,7 +322,10 @@ def integrate(
         SurfaceError: There is no surface in the bounds, it leaves them, or the gradient vanishes on it.
         TypeError: It is no functional.
     """
-    require_functional("functional", functional)
+    several = isinstance(functional, list | tuple)
+    functionals = tuple(functional) if isinstance(functional, list | tuple) else (functional,)
+    for k, one in enumerate(functionals):
+        require_functional(f"functional[{k}]" if several else "functional", one)
     require_resolution("resolution", resolution)
     require_resolution("finest", finest)
     if tolerance is not None:
@@ -307,11 +333,12 @@ def integrate(
     known: dict[int, Values] = {}
     while True:
         meshed = refined_quadrature(field, resolution)
-        known[resolution] = (functional.value(field, meshed.sample),)
-        (found,) = with_errors(field, (functional,), meshed, resolution, known)
+        known[resolution] = tuple(one.value(field, meshed.sample) for one in functionals)
+        found = with_errors(field, functionals, meshed, resolution, known)
         finer = next_finer(resolution, finest)
-        if tolerance is None or found.error <= tolerance * abs(found.value) or finer == resolution:
-            return found
+        within = tolerance is None or all(one.error <= tolerance * abs(one.value) for one in found)
+        if within or finer == resolution:
+            return found if several else found[0]
         resolution = finer
 
 

@@ -179,7 +179,7 @@ def test_a_handle_off_the_shape_is_refused():
 
 
 def test_the_volume_of_the_field_itself_is_that_of_the_formula():
-    row = measure_field(unit_sphere(2.0), implicit.shapes.sphere(0.9), resolution=48)
+    row = measure_field(unit_sphere(2.0), implicit.shapes.sphere(0.9))
     assert row["volume_before"] == pytest.approx(8 * 4 / 3 * np.pi, rel=1e-5)
     assert row["volume_drift"] == pytest.approx(0.9**3 - 1, rel=1e-4)
     assert row["area_drift"] == pytest.approx(0.9**2 - 1, rel=1e-4)

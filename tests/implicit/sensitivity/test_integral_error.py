@@ -131,6 +131,13 @@ def test_a_tolerance_is_met_on_finer_cells_or_the_estimate_says_that_it_is_not()
     assert missed.error > 1e-12 * missed.value
 
 
+def test_several_are_measured_at_once_as_one_at_a_time():
+    field, both = shapes.torus(0.5, 0.2), (Volume(), Area())
+    assert integrate(field, both, 24) == tuple(integrate(field, one, 24) for one in both)
+    with pytest.raises(TypeError, match=r"functional\[1\] must be a functional such as"):
+        integrate(field, [Volume(), "area"], 24)
+
+
 def test_finer_cells_are_half_as_many_again_up_to_the_finest():
     assert [
         next_finer(64, 256),
