@@ -111,6 +111,9 @@ def _directional(field: Field, points: Tensor, d_theta: Tensor) -> Tensor:
     """Return df/dtheta . d_theta at each point."""
     if closed_form.fits(field, len(points)):
         return closed_form.factors(field, points).times(d_theta)
+    few = columns_of_few(field, points)
+    if few is not None:
+        return few[:, 0] @ d_theta
 
     def moved() -> Tensor:
         return jvp(lambda theta: field.function(theta, points), (field.theta,), (d_theta,))[1]
