@@ -257,14 +257,19 @@ class WithConv(nn.Module):
         return points.norm(dim=1, keepdim=True) - 0.5 + 0.1 * self.network(points)
 
 
-class CompiledMethod(nn.Module):
-    def __init__(self) -> None:
-        super().__init__()
-        self.network = layers()
+def compiled_method() -> nn.Module:
+    """A module whose method is compiled; torch takes seconds to load its compiler, so not before it is asked for."""
 
-    @torch.compile(backend="eager")
-    def forward(self, points):
-        return points.norm(dim=-1) - 0.5 + 0.1 * self.network(points).squeeze(-1)
+    class CompiledMethod(nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.network = layers()
+
+        @torch.compile(backend="eager")
+        def forward(self, points):
+            return points.norm(dim=-1) - 0.5 + 0.1 * self.network(points).squeeze(-1)
+
+    return CompiledMethod()
 
 
 class Scripted(nn.Module):

@@ -38,7 +38,6 @@ from tests.implicit.field.foreign_modules import (
     Caches,
     Checkpointed,
     ClosesOverItself,
-    CompiledMethod,
     ComplexWaves,
     Cut,
     Cutting,
@@ -66,6 +65,7 @@ from tests.implicit.field.foreign_modules import (
     Voxels,
     WithConv,
     WrongSine,
+    compiled_method,
     each_linear,
     layers,
     pruned,
@@ -164,7 +164,7 @@ RIGHT: dict[str, tuple[Make, dict[str, Any], Callable[[Any, torch.Tensor], torch
         lambda m, x: x.norm(dim=1) - 0.5 + 0.1 * m.network._orig_mod(x)[:, 0],
     ),
     "compiled method": (
-        CompiledMethod, {}, lambda m, x: x.norm(dim=1) - 0.5 + 0.1 * m.network(x)[:, 0]
+        compiled_method, {}, lambda m, x: x.norm(dim=1) - 0.5 + 0.1 * m.network(x)[:, 0]
     ),
     "data parallel": (lambda: nn.DataParallel(Ball(layers())), {}, None),
     "traced": (lambda: torch.jit.trace(Ball(layers()).double(), torch.rand(4, 2).double()), {}, None),
