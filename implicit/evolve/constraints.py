@@ -32,9 +32,8 @@ from implicit.sensitivity.shape_functionals import (
 from implicit.step.deformation import DeformationSpace
 from implicit.step.least_squares import LeastSquares, Rows, Solution
 from implicit.surface.extraction import require_resolution
-from implicit.surface.quadrature import MeshedSample, SurfaceSample, meshed_quadrature
+from implicit.surface.quadrature import MeshedSample, SurfaceSample, carried, meshed_quadrature
 from implicit.surface.refined_quadrature import refined_quadrature
-from implicit.surface.sampling import subsample
 
 Enforce = Literal["rows", "projection", "penalty"]
 
@@ -358,7 +357,18 @@ class ConstraintSet:
             surface = meshed_quadrature(field, self.holding.resolution)
         else:
             surface = refined_quadrature(field, cells)
-        return Measurement(surface, tuple(c.value(field, surface.sample) for c in self.functionals))
+        return self._on(field, surface)
+
+    def measure_again(self, field: Field, before: Measurement, *, cells: int | None = None) -> Measurement:
+        """Return what `measure` does of a field that has hardly changed since: its quadrature is carried along.
+
+        Where the surface has moved too far for that it is meshed anew.
+        """
+        surface = carried(field, before.surface)
+        return self.measure(field, cells=cells) if surface is None else self._on(field, surface)
+
+    def _on(self, field: Field, surface: MeshedSample) -> Measurement:
+        return Measurement(surface, tuple(c.value_on(field, surface) for c in self.functionals))
 
     def values(self, measured: Measurement | None) -> dict[str, float]:
         """Return the measured values by name; none where nothing was measured."""
@@ -460,23 +470,28 @@ class ConstraintSet:
         tolerance = self.tolerance if cells is None else min(self.tolerance, 1e-8)
         C: Tensor | None = None
         last = best_gap = float("inf")
+        stalled = 0
         best: tuple[Tensor, Measurement] | None = None
-        for _ in range(CORRECTIONS):
+        for steps in range(CORRECTIONS):
             moved = field.with_theta(field.theta + space.split(x)[0])
-            measured = self.measure(moved, cells=cells) if measured is None else measured
+            if measured is None:
+                measured = self.measure(moved, cells=cells)
+            elif steps:
+                measured = self.measure_again(moved, measured, cells=cells)
             gap = self.violation(measured)
             if gap < best_gap:
                 best, best_gap = (x, measured), gap
             if gap <= tolerance:
                 return x, measured
-            if gap > 0.5 * last:
-                break  # quadrature cells switch as the surface moves; in float32 that and rounding set a floor
+            stalled += gap > 0.5 * last
+            if stalled > 1:
+                break  # rounding sets a floor
             if C is None or gap > 0.1 * last:
                 C = self._sensitivities(moved, space, measured)
             last = gap
             gaps = field.theta.new_tensor(self._gaps(measured))
             held = (gaps != 0) | (gaps.new_tensor(self._signs) == 0)
-            x, measured = x + correction(C[held], gaps[held]), None
+            x = x + correction(C[held], gaps[held])
         if best is None or best_gap > max(1e3 * self.tolerance, 1e-4):
             raise NotHeldError(f"A constraint is {best_gap:.2g} from its target.")
         return best
@@ -534,10 +549,12 @@ def _names(functionals: Sequence[Functional], columns: Sequence[str]) -> tuple[s
 
 
 def _steering(field: Field, sample: SurfaceSample) -> SurfaceSample:
-    """Return the points of a quadrature at which sensitivities are taken: all of a coarse one, a part of a fine one.
-
-    A fresh sample instead would cost another extraction, finer than a coarse quadrature's own.
-    """
+    """Return the points of a quadrature at which sensitivities are taken: all of a coarse one, a part of a fine one."""
     if len(sample) <= 2 * STEERING_POINTS:
         return sample
-    return subsample(field, sample, min(STEERING_POINTS, len(sample) // 4))
+    # One from each of many strips of equal area: cells come in the order in which the grid was gone over.
+    amounts = sample.weights.double().cumsum(0)
+    strip = amounts[-1] / STEERING_POINTS
+    middles = (torch.arange(STEERING_POINTS, device=amounts.device) + 0.5) * strip
+    chosen = torch.searchsorted(amounts, middles).clamp(max=len(amounts) - 1)
+    return SurfaceSample(sample.points[chosen], sample.normals[chosen], strip.to(sample.weights).expand(len(chosen)))

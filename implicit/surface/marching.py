@@ -35,6 +35,9 @@ GRADIENT_SAFETY = 1.5
 # Bytes for the grid of an extraction unless the caller says otherwise: a resolution of about 890 in a cube.
 MEMORY_LIMIT = 4 * 2**30
 MOST_AT_ONCE = 1_000_000  # nodes
+
+# Grids of so few nodes are evaluated whole: the gradients that bound f elsewhere would cost more.
+FEW_NODES = 40_000
 BYTES_A_NODE = 6  # value, sign, and what blocks of two cells have for their eight nodes
 
 
@@ -197,9 +200,11 @@ NUDGE = 4e-3
 
 def near_surface(field: Field, grid: Grid) -> Chunks:
     """Evaluate f from coarse to fine, only where the surface can be (3D)."""
+    if np.prod(grid.nodes, dtype=float) <= FEW_NODES:
+        return _every_node(field, grid)
     steepest = _Steepest(field)
     if not steepest.holds:
-        return _every_node(field, grid, steepest)
+        return _every_node(field, grid)
     cells = torch.tensor(grid.cells, device=field.device)
     counts = [-(-count // CHUNK_CELLS) for count in grid.cells]
     blocks = _Blocks.evaluate(
@@ -232,14 +237,15 @@ def near_surface(field: Field, grid: Grid) -> Chunks:
     return Chunks(chunks[crossed], middles[crossed], *_node_values(field, grid, blocks, steepest))
 
 
-def _every_node(field: Field, grid: Grid, steepest: _Steepest) -> Chunks:
+def _every_node(field: Field, grid: Grid) -> Chunks:
     """Evaluate f at all nodes, some planes of the grid at a time."""
     values = torch.empty(grid.nodes, dtype=torch.float32, device=field.device)
     planes = max(1, MOST_AT_ONCE // (grid.nodes[1] * grid.nodes[2]))
     axes = [torch.arange(count, device=field.device) for count in grid.nodes]
     for part in axes[0].split(planes):
         points = grid.place(torch.cartesian_prod(part, *axes[1:])).float()
-        values[part] = _nudged(field, grid, points, steepest).view(len(part), *grid.nodes[1:])
+        values[part] = _finite(field.value(points)).view(len(part), *grid.nodes[1:])
+    _nudge_by_differences(values)
     signs = 2 - 4 * (values < 0).to(torch.int8)
     for axis, count in enumerate(grid.nodes):
         for end in (0, count - 1):
@@ -251,6 +257,21 @@ def _every_node(field: Field, grid: Grid, steepest: _Steepest) -> Chunks:
     chunks = torch.cartesian_prod(*counts)
     side = CHUNK_CELLS // LEVELS[-1]
     return Chunks(chunks, values.new_zeros(1).expand(len(chunks), side, side, side), values, signs)
+
+
+def _nudge_by_differences(values: Float[Tensor, "x y z"]) -> None:
+    """Move values at all nodes away from zero where they are nearer to it than NUDGE, in place."""
+    change = torch.zeros_like(values)  # the most between a node and the next ones
+    for axis, count in enumerate(values.shape):
+        steps = values.diff(dim=axis).abs_()
+        for first in (0, 1):
+            beside = change.narrow(axis, first, count - 1)
+            torch.maximum(beside, steps, out=beside)
+    near = (values.abs() <= NUDGE * change.max()).nonzero(as_tuple=True)
+    found = values[near]
+    # On level ground beside steep one a thousandth of the steepest is enough to tell a place from the nodes.
+    least = NUDGE * change[near].clamp(min=1e-3 * float(change.max()))
+    values[near] = (1 - 2 * (found < 0).to(torch.int8)) * found.abs().maximum(least)
 
 
 def _nudged(field: Field, grid: Grid, points: Float[Tensor, "n 3"], steepest: _Steepest) -> Float[Tensor, " n"]:

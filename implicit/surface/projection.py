@@ -94,6 +94,7 @@ def place_on_surface(
     iterations: int = 30,
     segments: Segments | None = None,
     thorough: bool = False,
+    brackets: bool = True,
 ) -> Placement:
     """Place points as newton_to_surface does, and tell where the field jumps.
 
@@ -108,6 +109,7 @@ def place_on_surface(
             on its segment. None, or ends of the same sign, leave it the walk along the gradient.
         thorough: True looks all around from each point whose gradient leads nowhere, as in a hollow of |f| off the
             surface; False does so where there is no gradient alone, since most such points are better given up.
+        brackets: False gives up what Newton's method does not bring to the surface.
     """
     field.require_points(points)
     if in_working_precision(field) is not field:
@@ -120,6 +122,7 @@ def place_on_surface(
             iterations=iterations,
             segments=None if segments is None else (single[1], single[2]),
             thorough=thorough,
+            brackets=brackets,
         )
         return Placement(found.points.to(points), found.arrived, found.jumps, found.gradients.to(points))
     if tolerance is None:
@@ -130,7 +133,7 @@ def place_on_surface(
         away = away | ((current - points).norm(dim=1) > LEASH * (segments[1] - segments[0]).norm(dim=1))
     jumps = torch.zeros_like(arrived)
     left = away.nonzero()[:, 0]
-    if len(left):
+    if len(left) and brackets:
         chosen = None if segments is None else (segments[0][left], segments[1][left])
         start, end, at_start, at_end, known = _brackets(field, points[left], reach, tolerance, chosen, thorough)
         zeros = bracketed_zeros(field, start, end, at_start, at_end, tolerance)

@@ -29,6 +29,7 @@ from implicit.surface.marching import Crossings
 from implicit.surface.projection import SLACK, in_working_precision, place_on_surface
 from implicit.surface.quadrature import (
     MOST_BULGE,
+    CurvedCells,
     CurvedMesh,
     MeshedSample,
     cell_points,
@@ -78,7 +79,7 @@ def refined_quadrature(field: Field, resolution: int, *, most: float = MOST_REFI
     """
     curved = curved_mesh(field, resolution)
     marched = curved.marched
-    meshed = meshed_sample(field, curved.nodes, marched)
+    meshed = meshed_sample(field, curved.cells, marched)
     if field.dimension == 2:
         return meshed
     working = in_working_precision(field)
@@ -87,8 +88,8 @@ def refined_quadrature(field: Field, resolution: int, *, most: float = MOST_REFI
     if len(unresolved) == 0:
         return meshed
     refined, pieces, mesh = _without_lost_seams(working, marched, unresolved)
-    sample = meshed_sample(field, _curved(working, curved, pieces, mesh), marched).sample
-    return replace(meshed, sample=sample, refined=int(refined.flags.sum()))
+    finer = meshed_sample(field, _curved(working, curved, pieces, mesh), marched)
+    return replace(finer, refined=int(refined.flags.sum()), entered=meshed.entered)
 
 
 def _cells_of(marched: PlacedOnGrid, points: Float[Tensor, "n 3"]) -> Int[Tensor, "n 3"]:
@@ -99,7 +100,7 @@ def _cells_of(marched: PlacedOnGrid, points: Float[Tensor, "n 3"]) -> Int[Tensor
 
 def _unresolved(field: Field, curved: CurvedMesh, meshed: MeshedSample, most: float) -> Int[NDArray, "n 3"]:
     """Return the cells of the grid whose triangles are not on the surface, or whose surface has no triangles."""
-    nodes, cell = curved.nodes, meshed.grid.cell
+    nodes, cell = curved.cells.nodes, meshed.grid.cell
     points, across = cell_points(nodes, nodes.new_full((len(nodes), 2), 1 / 3))
     value, gradient = field.value_and_gradient(points)
     slope = gradient.norm(dim=1)
@@ -290,8 +291,8 @@ def _with_fine_vertices(field: Field, marched: PlacedOnGrid, pieces: Pieces, mes
     return _Mesh(corners, gradients, mesh.faces, mesh.seams)
 
 
-def _curved(field: Field, curved: CurvedMesh, pieces: Pieces, mesh: _Mesh) -> Float[Tensor, "m 6 3"]:
-    """Return the nodes of curved cells on the triangles, split along creases but not at seams."""
+def _curved(field: Field, curved: CurvedMesh, pieces: Pieces, mesh: _Mesh) -> CurvedCells:
+    """Return curved cells on the triangles, split along creases but not at seams."""
     corners, reach = mesh.corners, 2 * curved.marched.grid.cell
     edges, edge_of = edges_of(mesh.faces, len(corners))
     seams = mesh.seams.among(edges)
@@ -309,7 +310,9 @@ def _curved(field: Field, curved: CurvedMesh, pieces: Pieces, mesh: _Mesh) -> Fl
     points[other], slopes[other] = middle_nodes(field, corners, edges[other], reach, MOST_BULGE)
     points[seams] = in_face
     # A seam must stay whole on both sides: with a normal half way between those of its ends it crosses no crease.
-    slopes[seams] = torch.nn.functional.normalize(mesh.gradients[edges[seams]], dim=2).sum(dim=1)
+    ends = mesh.gradients[edges[seams]]
+    half_way = torch.nn.functional.normalize(torch.nn.functional.normalize(ends, dim=2).sum(dim=1), dim=1)
+    slopes[seams] = half_way * ends.norm(dim=2).mean(dim=1, keepdim=True)
 
     def given(edges: Tensor, middles: Tensor) -> Tensor:
         return middles.index_copy(0, mesh.seams.among(edges), in_face)
