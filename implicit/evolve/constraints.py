@@ -268,6 +268,7 @@ class ConstraintSet:
         fine: Cells along the longest side of the bounds on which the targets were measured.
         errors: Estimated error of each target over its scale; 0 of one that the caller gave.
         errors_of_steps: The same of each value as the steps measure it.
+        first: The surface at the start as the steps measure it; None where nothing is held.
     """
 
     functionals: tuple[Functional, ...]
@@ -280,6 +281,7 @@ class ConstraintSet:
     fine: int
     errors: tuple[float, ...] = ()
     errors_of_steps: tuple[float, ...] = ()
+    first: Measurement | None = None
 
     @classmethod
     def of(
@@ -314,8 +316,8 @@ class ConstraintSet:
         targets = [v if c.target is None else c.target for c, v in zip(functionals, start.measured.values, strict=True)]
         scales = [abs(t) if t != 0 else area for t in targets]
         errors = [found.error / s for found, s in zip(start.integrals, scales, strict=True)]
-        stepped = free.measure(field).values
-        off = [abs(a - b) / s for a, b, s in zip(stepped, start.measured.values, scales, strict=True)]
+        stepped = free.measure(field)
+        off = [abs(a - b) / s for a, b, s in zip(stepped.values, start.measured.values, scales, strict=True)]
         return replace(
             free,
             targets=tuple(targets),
@@ -323,6 +325,7 @@ class ConstraintSet:
             fine=start.cells,
             errors=tuple(e if c.target is None else 0.0 for c, e in zip(functionals, errors, strict=True)),
             errors_of_steps=tuple(e + o for e, o in zip(errors, off, strict=True)),
+            first=stepped,
         )
 
     def _resolved(self, field: Field) -> _Start:
@@ -407,23 +410,39 @@ class ConstraintSet:
         ]
 
     def linearised(
-        self, field: Field, space: DeformationSpace, measured: Measurement | None
+        self, field: Field, space: DeformationSpace, measured: Measurement | None, curved: Sequence[float] = ()
     ) -> LinearConstraints | None:
         """Return the functionals to first order about a field, or None where nothing is held.
 
         Args:
             measured: The surface of the field.
+            curved: What each value will change by beyond the first order, where that can be told beforehand.
         """
         if not self.functionals or measured is None:
             return None
         like = field.theta
         gap = [t - v for t, v in zip(self.targets, measured.values, strict=True)]
+        if curved:
+            gap = [g - c for g, c in zip(gap, curved, strict=True)]
         return LinearConstraints(
             self._sensitivities(field, space, measured),
             like.new_tensor(gap),
             like.new_tensor(self._signs),
             like.new_tensor(self.scales),
         )
+
+    def beyond_first_order(self, measured: Measurement, curved: Sequence[float]) -> tuple[float, ...]:
+        """Return by how much a step changed each value beyond the first order; 0 of bounds, which it need not meet.
+
+        Args:
+            measured: The surface after the step, before anything is restored.
+            curved: What was taken for it in the step's rows, see `linearised`.
+        """
+        if not self.enforcement.restores:
+            return ()
+        curved = curved or [0.0] * len(self.functionals)
+        values = zip(measured.values, self.targets, curved, self._signs, strict=True)
+        return tuple(v - t + c if sign == 0 else 0.0 for v, t, c, sign in values)
 
     @property
     def _signs(self) -> list[int]:
@@ -470,7 +489,6 @@ class ConstraintSet:
         tolerance = self.tolerance if cells is None else min(self.tolerance, 1e-8)
         C: Tensor | None = None
         last = best_gap = float("inf")
-        stalled = 0
         best: tuple[Tensor, Measurement] | None = None
         for steps in range(CORRECTIONS):
             moved = field.with_theta(field.theta + space.split(x)[0])
@@ -483,8 +501,7 @@ class ConstraintSet:
                 best, best_gap = (x, measured), gap
             if gap <= tolerance:
                 return x, measured
-            stalled += gap > 0.5 * last
-            if stalled > 1:
+            if gap > 0.5 * last:
                 break  # rounding sets a floor
             if C is None or gap > 0.1 * last:
                 C = self._sensitivities(moved, space, measured)

@@ -159,23 +159,26 @@ def _newton(
     for _ in range(iterations):
         if len(going) == 0:
             break
-        x = current[going]
+        every = len(going) == len(points)  # then nothing is gathered or scattered: that takes as long as a layer
+        x = current if every else current.index_select(0, going)
+        begun = points if every else points.index_select(0, going)
         f, g = field.value_and_gradient(x, validate=False)  # those that strayed or are not finite go no further
-        gradients[going] = g
+        gradients = g if every else gradients.index_copy_(0, going, g)
         square = (g * g).sum(dim=1)
         step = -(f / square.clamp(min=torch.finfo(f.dtype).tiny))[:, None] * g
         length = step.norm(dim=1)
         # Longer steps than a quarter of the reach are the sign of a small gradient, not of a distant surface.
         step = step * (0.25 * reach / length.clamp(min=0.25 * reach))[:, None]
         moved = x + step
-        strayed = ~torch.isfinite(moved).all(dim=1) | ((moved - points[going]).norm(dim=1) > reach)
+        strayed = ~((moved - begun).norm(dim=1) <= reach)  # or not finite
         strayed |= (square == 0) & (f != 0)  # no step is none that has arrived
         # Newton squares the error: a step s leaves about s^2 / (2 r) where the surface has radius r. Taking r for a
         # hundredth of the field's size saves a gradient; the values below tell whether it was so.
         there = (torch.minimum(length, 50 / field.size * length**2) <= tolerance) & ~strayed
-        current[going] = torch.where(strayed[:, None], x, moved)
-        arrived[going[there]] = True
-        going = going[~there & ~strayed]
+        moved = torch.where(strayed[:, None], x, moved)
+        current = moved if every else current.index_copy_(0, going, moved)
+        arrived.scatter_(0, going, there)
+        going = going.masked_select(~there & ~strayed)
     if len(going):
         f, g = field.value_and_gradient(current[going], validate=False)
         gradients[going] = g
@@ -183,7 +186,9 @@ def _newton(
     claimed = arrived.nonzero()[:, 0]
     if len(claimed):
         # Where the gradient has jumped in the last step, the step was not the whole way.
-        arrived[claimed] = field.value(current[claimed]).abs() <= SLACK * tolerance * gradients[claimed].norm(dim=1)
+        every = len(claimed) == len(points)
+        x, g = (current, gradients) if every else (part.index_select(0, claimed) for part in (current, gradients))
+        arrived.scatter_(0, claimed, field.value(x).abs() <= SLACK * tolerance * g.norm(dim=1))
     return current, arrived, gradients
 
 

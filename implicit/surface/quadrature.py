@@ -9,6 +9,7 @@ flat, and the order falls to the second.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -30,7 +31,7 @@ _TRIANGLE_ORBITS = ((0.445948490915965, 0.223381589678011), (0.091576213509771, 
 # Least slope of a field beside the median, where it is taken to vanish; as in Field.gradient_length.
 LEVEL = 1e-7
 
-# A quadrature is kept, or carried along, where its surface has moved by no more than so many cells at some of its nodes.
+# A quadrature is kept, or carried along, where its surface has moved by no more than so many cells at PROBED nodes.
 KEPT = 1e-4
 CARRIED = 1 / 8
 PROBED = 500
@@ -128,7 +129,8 @@ class CurvedCells:
             return None
         shape, _, _ = _segment_rule() if self.places.shape[1] == 2 else _triangle_rule()
         at_nodes = self.slopes[self.index]
-        return torch.maximum(at_nodes @ shape.to(at_nodes).T, at_nodes.amin(dim=1, keepdim=True)).flatten()
+        least = functools.reduce(torch.minimum, at_nodes.unbind(dim=1))  # amin over few neighbours in memory is slow
+        return torch.maximum(at_nodes @ shape.to(at_nodes).T, least[:, None]).flatten()
 
 
 Entered = tuple[Int[Tensor, "n d"], Float[Tensor, "n d"]]  # cells, and a point of the surface in each
@@ -144,7 +146,7 @@ class MeshedSample:
     grid: Grid
     signs: Int8[Tensor, "*nodes"]  # of f at the nodes of the grid, zero where the surface is far
     curved: CurvedCells | None = None  # the cells beneath the quadrature
-    slopes: Float[Tensor, " n"] | None = None  # about |df/dx| at its points, where that is known
+    slopes: Float[Tensor, " q"] | None = None  # about |df/dx| at its points, where that is known
     refined: int = 0  # cells of the grid that the quadrature has finer than the mesh
     entered: Entered | None = None  # cells of one sign with the surface in them, where these have been looked for
 

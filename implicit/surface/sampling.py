@@ -304,8 +304,11 @@ def _space_filling_order(centers: Tensor, field: Field) -> Tensor:
     """Return the order along the Morton curve, ten bits a coordinate."""
     unit = (centers - field.bounds[0]) / (field.bounds[1] - field.bounds[0])
     cells = (unit.clamp(0, 1) * 1023).long()
-    code = torch.zeros(len(centers), dtype=torch.long, device=centers.device)
+    numbers = torch.arange(1024, device=centers.device)
+    spread = torch.zeros_like(numbers)  # the bits of a coordinate with room between them for those of the others
     for bit in range(10):
-        for axis in range(field.dimension):
-            code |= ((cells[:, axis] >> bit) & 1) << (bit * field.dimension + axis)
+        spread |= ((numbers >> bit) & 1) << (bit * field.dimension)
+    code = spread[cells[:, 0]]
+    for axis in range(1, field.dimension):
+        code |= spread[cells[:, axis]] << axis
     return torch.argsort(code, stable=True)
