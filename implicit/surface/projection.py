@@ -126,7 +126,7 @@ def place_on_surface(
         )
         return Placement(found.points.to(points), found.arrived, found.jumps, found.gradients.to(points))
     if tolerance is None:
-        tolerance = field.size * (1e-12 if field.dtype == torch.float64 else 1e-6)
+        tolerance = placing_tolerance(field)
     current, arrived, gradients = _newton(field, points, reach, tolerance, iterations)
     away = ~arrived
     if segments is not None:
@@ -141,6 +141,11 @@ def place_on_surface(
         current[left], arrived[left], jumps[left] = zeros.points, ~zeros.jumps, zeros.jumps
         gradients[left] = field.gradient(zeros.points)
     return Placement(current, arrived, jumps, gradients)
+
+
+def placing_tolerance(field: Field) -> float:
+    """Return the distance from the surface at which a point has arrived, where the caller names none."""
+    return field.size * (1e-12 if field.dtype == torch.float64 else 1e-6)
 
 
 def in_working_precision(field: Field) -> Field:

@@ -263,6 +263,23 @@ def cell_points(
     return points, _across(tangents)
 
 
+def cell_elements(nodes: Float[Tensor, "m k d"], at: Float[Tensor, "q t"]) -> Float[Tensor, "q m"]:
+    """Return the area (or length) that each quadratic cell has per unit of barycentric area, at the same places of all.
+
+    Args:
+        nodes: As curved_cells gives them.
+        at: The last barycentric coordinates of each place: two in a triangle, one in a segment.
+    """
+    if nodes.shape[2] == 2:
+        _, slopes = _segment_shapes(at[:, 0])
+    else:
+        _, slopes = _triangle_shapes(1 - at.sum(dim=1), at[:, 0], at[:, 1])
+    count, k, dimension = nodes.shape
+    # One product of matrices for all places and cells.
+    tangents = slopes.transpose(1, 2).reshape(-1, k) @ nodes.transpose(0, 1).reshape(k, -1)
+    return _across(tangents.view(len(at), -1, count, dimension).transpose(1, 2)).norm(dim=-1)
+
+
 def placed(field: Field, sample: SurfaceSample, reach: float) -> SurfaceSample:
     """Return the points moved to f = 0, with normals; the distance is of higher order than the weights' error.
 
