@@ -45,6 +45,9 @@ CORRECTIONS = 8
 # is a twentieth of the estimate in the median; half of this would refine shapes that 96 cells resolve.
 RESOLVED = 2e-6
 
+# Estimated relative error of what is held from which on an edit says so, where no tolerance is given.
+TOLD = 1e-6
+
 SIGNS = {"equal": 0, "at least": 1, "at most": -1}
 
 # From C and r to the change of the unknowns that a correction makes.
@@ -401,13 +404,20 @@ class ConstraintSet:
         Args:
             error: The largest relative error with which a value is known to be at its target.
         """
-        if not self.functionals or not self.enforcement.restores or error <= 2 * self.holding.resolved:
+        if not self.functionals or not self.enforcement.restores:
             return []
-        return [
-            f"What is held is known to {error:.2g} of its value only, not to {2 * self.holding.resolved:.2g}: on up to "
-            f"{self.holding.finest} cells along the longest side the quadrature does not resolve the surface. Raise "
-            "fine_resolution and finest_resolution of Holding, or thicken what is thin."
-        ]
+        if error > 2 * self.holding.resolved:
+            return [
+                f"What is held is known to {error:.2g} of its value only, not to {2 * self.holding.resolved:.2g}: on up "
+                f"to {self.holding.finest} cells along the longest side the quadrature does not resolve the surface. "
+                "Raise fine_resolution and finest_resolution of Holding, or thicken what is thin."
+            ]
+        if self.holding.tolerance is None and error > TOLD:
+            return [
+                f"What is held is known to {error:.2g} of its value, by an estimate that is above most errors. Where "
+                "that is not enough, give the tolerance of Holding, to which the quadrature is then refined."
+            ]
+        return []
 
     def linearised(
         self, field: Field, space: DeformationSpace, measured: Measurement | None, curved: Sequence[float] = ()
