@@ -406,9 +406,10 @@ class ConstraintSet:
         """
         if not self.functionals or not self.enforcement.restores:
             return []
-        if error > 2 * self.holding.resolved:
+        wanted = 2 * self.holding.resolved
+        if error > wanted:
             return [
-                f"What is held is known to {error:.2g} of its value only, not to {2 * self.holding.resolved:.2g}: on up "
+                f"What is held is known to {error:.2g} of its value only, not to {wanted:.2g}: on up "
                 f"to {self.holding.finest} cells along the longest side the quadrature does not resolve the surface. "
                 "Raise fine_resolution and finest_resolution of Holding, or thicken what is thin."
             ]
