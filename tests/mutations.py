@@ -355,7 +355,7 @@ IMPLICIT = [
      "self._ridge[:, None] * self.inverse(z)", "self.inverse(z)",
      "step/factors::the_rank_is_the_trace_of_what_the_equations_decide"),
     ("damping of the dual", "step/factors/dual::Dual.of",
-     "damped.diagonal().add_(1.0)", "damped.diagonal().add_(2.0)",
+     "gram.diagonal().add_(1.0)", "gram.diagonal().add_(2.0)",
      "step/factors::the_minimiser_is_that_of_the_stacked_rows"),
     ("sign in Woodbury's formula", "step/factors/dual::Dual.inverse",
      "return scaled - torch.stack(", "return scaled + torch.stack(",

@@ -32,7 +32,7 @@ from implicit.sensitivity.boundary_sensitivity import BLOCK, value_and_gradients
 from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import Energy, NormalTarget
 from implicit.step.problem import DampingRule, Projection, Row, StepProblem
-from implicit.surface.projection import newton_to_surface, require_on_surface
+from implicit.surface.projection import SLACK, newton_to_surface, placing_tolerance, require_on_surface
 from implicit.surface.quadrature import SurfaceSample
 from implicit.surface.sampling import farthest_order, sample_surface
 
@@ -278,10 +278,13 @@ class PointSpace(DeformationSpace):
         for attempt in range(2):
             values, gradients, lengths = self._linearise(field, points)
             step = -(values / lengths)[:, None] * (gradients / lengths[:, None])
-            if attempt == 1 or float(step.norm(dim=1).max()) <= self.CLOSE * field.size:
+            longest = float(step.norm(dim=1).max())
+            if attempt == 1 or longest <= self.CLOSE * field.size:
                 break
             points, self.arrived = newton_to_surface(field, points, reach=reach)
-        self.points = points if attempt == 1 else points + step
+        # Points that are on the surface already stay, so that what is known of them is known of the caller's.
+        there = attempt == 1 or longest <= SLACK * placing_tolerance(field)
+        self.points = points if there else points + step
         self.normals = gradients / lengths[:, None]
 
     def _linearise(self, field: Field, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -32,9 +32,8 @@ from implicit.sensitivity.shape_functionals import (
 from implicit.step.deformation import DeformationSpace
 from implicit.step.least_squares import LeastSquares, Rows, Solution
 from implicit.surface.extraction import require_resolution
-from implicit.surface.quadrature import MeshedSample, SurfaceSample, meshed_quadrature
+from implicit.surface.quadrature import MeshedSample, SurfaceSample, carried, meshed_quadrature
 from implicit.surface.refined_quadrature import refined_quadrature
-from implicit.surface.sampling import subsample
 
 Enforce = Literal["rows", "projection", "penalty"]
 
@@ -45,6 +44,9 @@ CORRECTIONS = 8
 # Estimated relative error of the fine quadrature that is come to where no tolerance is given. The true error of volumes
 # is a twentieth of the estimate in the median; half of this would refine shapes that 96 cells resolve.
 RESOLVED = 2e-6
+
+# Estimated relative error of what is held from which on an edit says so, where no tolerance is given.
+TOLD = 1e-6
 
 SIGNS = {"equal": 0, "at least": 1, "at most": -1}
 
@@ -269,6 +271,7 @@ class ConstraintSet:
         fine: Cells along the longest side of the bounds on which the targets were measured.
         errors: Estimated error of each target over its scale; 0 of one that the caller gave.
         errors_of_steps: The same of each value as the steps measure it.
+        first: The surface at the start as the steps measure it; None where nothing is held.
     """
 
     functionals: tuple[Functional, ...]
@@ -281,6 +284,7 @@ class ConstraintSet:
     fine: int
     errors: tuple[float, ...] = ()
     errors_of_steps: tuple[float, ...] = ()
+    first: Measurement | None = None
 
     @classmethod
     def of(
@@ -315,8 +319,8 @@ class ConstraintSet:
         targets = [v if c.target is None else c.target for c, v in zip(functionals, start.measured.values, strict=True)]
         scales = [abs(t) if t != 0 else area for t in targets]
         errors = [found.error / s for found, s in zip(start.integrals, scales, strict=True)]
-        stepped = free.measure(field).values
-        off = [abs(a - b) / s for a, b, s in zip(stepped, start.measured.values, scales, strict=True)]
+        stepped = free.measure(field)
+        off = [abs(a - b) / s for a, b, s in zip(stepped.values, start.measured.values, scales, strict=True)]
         return replace(
             free,
             targets=tuple(targets),
@@ -324,6 +328,7 @@ class ConstraintSet:
             fine=start.cells,
             errors=tuple(e if c.target is None else 0.0 for c, e in zip(functionals, errors, strict=True)),
             errors_of_steps=tuple(e + o for e, o in zip(errors, off, strict=True)),
+            first=stepped,
         )
 
     def _resolved(self, field: Field) -> _Start:
@@ -358,7 +363,18 @@ class ConstraintSet:
             surface = meshed_quadrature(field, self.holding.resolution)
         else:
             surface = refined_quadrature(field, cells)
-        return Measurement(surface, tuple(c.value(field, surface.sample) for c in self.functionals))
+        return self._on(field, surface)
+
+    def measure_again(self, field: Field, before: Measurement, *, cells: int | None = None) -> Measurement:
+        """Return what `measure` does of a field that has hardly changed since: its quadrature is carried along.
+
+        Where the surface has moved too far for that it is meshed anew.
+        """
+        surface = carried(field, before.surface)
+        return self.measure(field, cells=cells) if surface is None else self._on(field, surface)
+
+    def _on(self, field: Field, surface: MeshedSample) -> Measurement:
+        return Measurement(surface, tuple(c.value_on(field, surface) for c in self.functionals))
 
     def values(self, measured: Measurement | None) -> dict[str, float]:
         """Return the measured values by name; none where nothing was measured."""
@@ -388,32 +404,56 @@ class ConstraintSet:
         Args:
             error: The largest relative error with which a value is known to be at its target.
         """
-        if not self.functionals or not self.enforcement.restores or error <= 2 * self.holding.resolved:
+        if not self.functionals or not self.enforcement.restores:
             return []
-        return [
-            f"What is held is known to {error:.2g} of its value only, not to {2 * self.holding.resolved:.2g}: on up to "
-            f"{self.holding.finest} cells along the longest side the quadrature does not resolve the surface. Raise "
-            "fine_resolution and finest_resolution of Holding, or thicken what is thin."
-        ]
+        wanted = 2 * self.holding.resolved
+        if error > wanted:
+            return [
+                f"What is held is known to {error:.2g} of its value only, not to {wanted:.2g}: on up "
+                f"to {self.holding.finest} cells along the longest side the quadrature does not resolve the surface. "
+                "Raise fine_resolution and finest_resolution of Holding, or thicken what is thin."
+            ]
+        if self.holding.tolerance is None and error > TOLD:
+            return [
+                f"What is held is known to {error:.2g} of its value, by an estimate that is above most errors. Where "
+                "that is not enough, give the tolerance of Holding, to which the quadrature is then refined."
+            ]
+        return []
 
     def linearised(
-        self, field: Field, space: DeformationSpace, measured: Measurement | None
+        self, field: Field, space: DeformationSpace, measured: Measurement | None, curved: Sequence[float] = ()
     ) -> LinearConstraints | None:
         """Return the functionals to first order about a field, or None where nothing is held.
 
         Args:
             measured: The surface of the field.
+            curved: What each value will change by beyond the first order, where that can be told beforehand.
         """
         if not self.functionals or measured is None:
             return None
         like = field.theta
         gap = [t - v for t, v in zip(self.targets, measured.values, strict=True)]
+        if curved:
+            gap = [g - c for g, c in zip(gap, curved, strict=True)]
         return LinearConstraints(
             self._sensitivities(field, space, measured),
             like.new_tensor(gap),
             like.new_tensor(self._signs),
             like.new_tensor(self.scales),
         )
+
+    def beyond_first_order(self, measured: Measurement, curved: Sequence[float]) -> tuple[float, ...]:
+        """Return by how much a step changed each value beyond the first order; 0 of bounds, which it need not meet.
+
+        Args:
+            measured: The surface after the step, before anything is restored.
+            curved: What was taken for it in the step's rows, see `linearised`.
+        """
+        if not self.enforcement.restores:
+            return ()
+        curved = curved or [0.0] * len(self.functionals)
+        values = zip(measured.values, self.targets, curved, self._signs, strict=True)
+        return tuple(v - t + c if sign == 0 else 0.0 for v, t, c, sign in values)
 
     @property
     def _signs(self) -> list[int]:
@@ -461,22 +501,25 @@ class ConstraintSet:
         C: Tensor | None = None
         last = best_gap = float("inf")
         best: tuple[Tensor, Measurement] | None = None
-        for _ in range(CORRECTIONS):
+        for steps in range(CORRECTIONS):
             moved = field.with_theta(field.theta + space.split(x)[0])
-            measured = self.measure(moved, cells=cells) if measured is None else measured
+            if measured is None:
+                measured = self.measure(moved, cells=cells)
+            elif steps:
+                measured = self.measure_again(moved, measured, cells=cells)
             gap = self.violation(measured)
             if gap < best_gap:
                 best, best_gap = (x, measured), gap
             if gap <= tolerance:
                 return x, measured
             if gap > 0.5 * last:
-                break  # quadrature cells switch as the surface moves; in float32 that and rounding set a floor
+                break  # rounding sets a floor
             if C is None or gap > 0.1 * last:
                 C = self._sensitivities(moved, space, measured)
             last = gap
             gaps = field.theta.new_tensor(self._gaps(measured))
             held = (gaps != 0) | (gaps.new_tensor(self._signs) == 0)
-            x, measured = x + correction(C[held], gaps[held]), None
+            x = x + correction(C[held], gaps[held])
         if best is None or best_gap > max(1e3 * self.tolerance, 1e-4):
             raise NotHeldError(f"A constraint is {best_gap:.2g} from its target.")
         return best
@@ -534,10 +577,12 @@ def _names(functionals: Sequence[Functional], columns: Sequence[str]) -> tuple[s
 
 
 def _steering(field: Field, sample: SurfaceSample) -> SurfaceSample:
-    """Return the points of a quadrature at which sensitivities are taken: all of a coarse one, a part of a fine one.
-
-    A fresh sample instead would cost another extraction, finer than a coarse quadrature's own.
-    """
+    """Return the points of a quadrature at which sensitivities are taken: all of a coarse one, a part of a fine one."""
     if len(sample) <= 2 * STEERING_POINTS:
         return sample
-    return subsample(field, sample, min(STEERING_POINTS, len(sample) // 4))
+    # One from each of many strips of equal area: cells come in the order in which the grid was gone over.
+    amounts = sample.weights.double().cumsum(0)
+    strip = amounts[-1] / STEERING_POINTS
+    middles = (torch.arange(STEERING_POINTS, device=amounts.device) + 0.5) * strip
+    chosen = torch.searchsorted(amounts, middles).clamp(max=len(amounts) - 1)
+    return SurfaceSample(sample.points[chosen], sample.normals[chosen], strip.to(sample.weights).expand(len(chosen)))

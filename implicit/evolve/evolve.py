@@ -197,7 +197,9 @@ class Loop(Generic[Memory]):
             start, track: Points of the surface to carry along: the starting points, and the caller's.
         """
         points = start.points if track is None else torch.cat([start.points, require_on_surface(field, track, "track")])
-        measured = self.constraints.measure(field) if self.changing or self.constraints.functionals else None
+        measured = self.constraints.first
+        if measured is None and self.changing:
+            measured = self.constraints.measure(field)
         topology = None
         if self.changing and measured is not None:
             topology = pieces(measured, field, self.constraints.holding.resolution)
@@ -235,6 +237,10 @@ class Loop(Generic[Memory]):
         with _refused_without_surface():
             # Correct the surface
             moved = self._corrected(state, problem, trial)
+            # The next step is much like this one, and allows for what its own rows will miss.
+            curved: tuple[float, ...] = ()
+            if moved.measured is not None and moved.part == 1:
+                curved = self.constraints.beyond_first_order(moved.measured, state.curved)
 
             # Restore the constraints
             moved = self._restored(state, problem, trial.factorised, moved)
@@ -254,6 +260,7 @@ class Loop(Generic[Memory]):
             topology=moved.topology,
             damping=damping,
             correction=(trial.factorised.correction, space),
+            curved=curved,
         )
         outcome = self.operation.taken(
             state,
@@ -289,7 +296,7 @@ class Loop(Generic[Memory]):
     def assembled(self, state: State[Memory], problem: StepProblem) -> Attempt:
         """Return a step's least squares with the functionals to first order, ready to be tried."""
         constraints = self.constraints
-        linear = constraints.linearised(state.field, problem.space, state.measured)
+        linear = constraints.linearised(state.field, problem.space, state.measured, state.curved)
         system = assemble(problem)
         for rows in [] if linear is None else constraints.enforcement.penalty_rows(linear):
             system.add(rows)

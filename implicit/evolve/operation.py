@@ -36,6 +36,7 @@ class State(Generic[Memory]):
         topology: Its pieces, where they are watched.
         damping: From the step before.
         correction: Of the last step's least squares, with the space of its unknowns.
+        curved: What the last step changed each held value by beyond the first order; empty where that is not known.
     """
 
     field: Field
@@ -47,6 +48,7 @@ class State(Generic[Memory]):
     topology: Topology | None = None
     damping: AdaptiveDamping = dataclasses.field(default_factory=AdaptiveDamping)
     correction: tuple[Correction, DeformationSpace] | None = None
+    curved: tuple[float, ...] = ()
 
     @property
     def points(self) -> Float[Tensor, "i d"]:

@@ -71,7 +71,10 @@ def value_and_gradients(
     field: Field, points: Float[Tensor, "n d"]
 ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n d"], Float[Tensor, "n p"]]:
     """Return f, df/dx and df/dtheta at each point, by one forward and one backward pass where torch can."""
-    if not closed_form.has_closed_form(field) and len(field.theta) > MOST:
+    if closed_form.has_closed_form(field):
+        with torch.no_grad():
+            return closed_form.value_and_gradients(field, points)
+    if len(field.theta) > MOST:
         both = vmap(grad_and_value(_at_one_point(field), argnums=(0, 1)), in_dims=(None, 0))
         found = vectorised(field, "rows", lambda: both(field.theta, points))
         if found is not None:

@@ -70,6 +70,20 @@ def gradient(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n p"]
     return rows
 
 
+def value_and_gradients(
+    field: Field, points: Float[Tensor, "n d"]
+) -> tuple[Float[Tensor, " n"], Float[Tensor, "n d"], Float[Tensor, "n p"]]:
+    """Return f, df/dx and df/dtheta at each point, of a field with a closed form, from one pass there and back."""
+    form = _require(field)
+    forwards = form._forwards(field.theta, points, in_space=False)
+    sign = torch.full_like(points[:, :1], field.sign)
+    uses, slopes = form.backwards(field.theta, points, sign, to_points=True, forwards=forwards)
+    rows = points.new_empty(len(points), len(field.theta))
+    form.columns.write(rows, form.parts(uses), field.theta)
+    values = (forwards[1][form.steps.output][:, 0] - field.level) * field.sign
+    return values, torch.zeros_like(points) if slopes is None else slopes, rows
+
+
 def gradient_and_slope(field: Field, points: Float[Tensor, "n d"]) -> Float[Tensor, "n e p"]:
     """Return df/dtheta and, after it, its derivatives in space, (N, 1 + D, P), of a field with a closed form."""
     form = _require(field)
@@ -155,10 +169,20 @@ class ClosedForm:
         return self.backwards(field.theta, points, torch.full_like(points[:, :1], field.sign), in_space=in_space)[0]
 
     def backwards(
-        self, theta: Tensor, points: Tensor, e: Tensor, *, in_space: bool = False, to_points: bool = False
+        self,
+        theta: Tensor,
+        points: Tensor,
+        e: Tensor,
+        *,
+        in_space: bool = False,
+        to_points: bool = False,
+        forwards: tuple[dict[int, Here], dict[int, Tensor]] | None = None,
     ) -> tuple[list[Use], Tensor | None]:
-        """The derivatives of e times the function by its operands, and by the points where it is asked for."""
-        heres, _ = self._forwards(theta, points, in_space=in_space)
+        """The derivatives of e times the function by its operands, and by the points where it is asked for.
+
+        `forwards` is what _forwards gave at the points, where that is known.
+        """
+        heres, _ = self._forwards(theta, points, in_space=in_space) if forwards is None else forwards
         wanted = self._edited | ({0} | set(heres) if to_points else set())
         adjoints: dict[int, Adjoint] = {self.steps.output: (e, None)}
         uses: list[Use] = []

@@ -89,6 +89,10 @@ class Functional(ABC):
     def value(self, field: Field, sample: SurfaceSample) -> float:
         """Return the functional of the field's surface, integrated over the sample."""
 
+    def value_on(self, field: Field, meshed: MeshedSample) -> float:
+        """Return the functional of the field's surface, integrated over a meshed quadrature of it."""
+        return self.value(field, meshed.sample)
+
     @abstractmethod
     def shape_gradient(self, field: Field, sample: SurfaceSample) -> Float[Tensor, " n"]:
         """Return its change per unit of outward motion and of area, at each point."""
@@ -126,6 +130,15 @@ class Volume(Functional):
     def value(self, field: Field, sample: SurfaceSample) -> float:
         off = _Distance.of(field, sample)
         return float((volume_terms(sample) + off.weights * off.distance).double().sum())
+
+    def value_on(self, field: Field, meshed: MeshedSample) -> float:
+        sample, slopes = meshed.sample, meshed.slopes
+        if slopes is None or type(self).value is not Volume.value:
+            return self.value(field, sample)
+        # The distance is of third order in the cell, so that a slope from the nodes leaves errors of the fifth.
+        limit = field.size / 100
+        distance = (-field.value(sample.points) / slopes).clamp(-limit, limit)
+        return float((volume_terms(sample) + sample.weights * distance).double().sum())
 
     def shape_gradient(self, field: Field, sample: SurfaceSample) -> Tensor:
         return torch.ones_like(sample.weights)
@@ -333,7 +346,7 @@ def integrate(
     known: dict[int, Values] = {}
     while True:
         meshed = refined_quadrature(field, resolution)
-        known[resolution] = tuple(one.value(field, meshed.sample) for one in functionals)
+        known[resolution] = tuple(one.value_on(field, meshed) for one in functionals)
         found = with_errors(field, functionals, meshed, resolution, known)
         finer = next_finer(resolution, finest)
         within = tolerance is None or all(one.error <= tolerance * abs(one.value) for one in found)
@@ -370,8 +383,8 @@ def with_errors(
         gains = [(resolution / cells) ** power - 1 for power in orders]
         try:
             if cells not in known:
-                sample = refined_quadrature(field, cells, most=most).sample
-                known[cells] = tuple(functional.value(field, sample) for functional in functionals)
+                coarser = refined_quadrature(field, cells, most=most)
+                known[cells] = tuple(functional.value_on(field, coarser) for functional in functionals)
         except SurfaceError:  # such coarse cells may not even have a surface: then nothing bounds the error
             errors = [max(e, abs(v)) for e, v in zip(errors, values, strict=True)]
             continue

@@ -141,6 +141,6 @@ def edges_of(cells: Int[Tensor, "m d"], vertices: int) -> tuple[Int[Tensor, "e 2
     """Return the ends of each edge, the smaller first, and the edges of each cell: 01, 12, 20, or the segment."""
     if cells.shape[1] == 2:
         return cells, torch.arange(len(cells), device=cells.device)[:, None]
-    ends = torch.stack([cells, cells.roll(-1, dims=1)], dim=2).reshape(-1, 2)
-    unique, inverse = torch.unique(ends.amin(dim=1) * vertices + ends.amax(dim=1), return_inverse=True)
+    ends = cells, cells.roll(-1, dims=1)
+    unique, inverse = torch.unique(torch.minimum(*ends) * vertices + torch.maximum(*ends), return_inverse=True)
     return torch.stack([unique // vertices, unique % vertices], dim=1), inverse.view(-1, 3)

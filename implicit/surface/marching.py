@@ -35,6 +35,9 @@ GRADIENT_SAFETY = 1.5
 # Bytes for the grid of an extraction unless the caller says otherwise: a resolution of about 890 in a cube.
 MEMORY_LIMIT = 4 * 2**30
 MOST_AT_ONCE = 1_000_000  # nodes
+
+# Grids of so few nodes are evaluated whole: the gradients that bound f elsewhere would cost more.
+FEW_NODES = 40_000
 BYTES_A_NODE = 6  # value, sign, and what blocks of two cells have for their eight nodes
 
 
@@ -61,6 +64,18 @@ class Grid:
     def place(self, index: Tensor) -> Tensor:
         """Return the places of nodes, or of points between them, from their index."""
         return self.lower + self.cell * index.to(self.lower)
+
+    def cells_of(self, points: Float[Tensor, "n d"]) -> Int[Tensor, "n d"]:
+        """Return the cell that holds each point; beyond the grid, the last one on the way."""
+        index = ((points - self.lower) / self.cell).floor().long()
+        return index.clamp(min=0).minimum(torch.tensor(self.cells, device=points.device) - 1)
+
+    def number(self, cells: Int[Tensor, "n d"]) -> Int[Tensor, " n"]:
+        """Return the number of each cell, the first index slowest."""
+        numbers = cells[:, 0]
+        for axis, count in enumerate(self.cells[1:], start=1):
+            numbers = numbers * count + cells[:, axis]
+        return numbers
 
     def require_memory(self, limit: float) -> None:
         needed = BYTES_A_NODE * float(np.prod(self.nodes, dtype=float))
@@ -197,9 +212,11 @@ NUDGE = 4e-3
 
 def near_surface(field: Field, grid: Grid) -> Chunks:
     """Evaluate f from coarse to fine, only where the surface can be (3D)."""
+    if np.prod(grid.nodes, dtype=float) <= FEW_NODES:
+        return _every_node(field, grid)
     steepest = _Steepest(field)
     if not steepest.holds:
-        return _every_node(field, grid, steepest)
+        return _every_node(field, grid)
     cells = torch.tensor(grid.cells, device=field.device)
     counts = [-(-count // CHUNK_CELLS) for count in grid.cells]
     blocks = _Blocks.evaluate(
@@ -232,14 +249,15 @@ def near_surface(field: Field, grid: Grid) -> Chunks:
     return Chunks(chunks[crossed], middles[crossed], *_node_values(field, grid, blocks, steepest))
 
 
-def _every_node(field: Field, grid: Grid, steepest: _Steepest) -> Chunks:
+def _every_node(field: Field, grid: Grid) -> Chunks:
     """Evaluate f at all nodes, some planes of the grid at a time."""
     values = torch.empty(grid.nodes, dtype=torch.float32, device=field.device)
     planes = max(1, MOST_AT_ONCE // (grid.nodes[1] * grid.nodes[2]))
     axes = [torch.arange(count, device=field.device) for count in grid.nodes]
     for part in axes[0].split(planes):
         points = grid.place(torch.cartesian_prod(part, *axes[1:])).float()
-        values[part] = _nudged(field, grid, points, steepest).view(len(part), *grid.nodes[1:])
+        values[part] = _finite(field.value(points)).view(len(part), *grid.nodes[1:])
+    _nudge_by_differences(values)
     signs = 2 - 4 * (values < 0).to(torch.int8)
     for axis, count in enumerate(grid.nodes):
         for end in (0, count - 1):
@@ -251,6 +269,21 @@ def _every_node(field: Field, grid: Grid, steepest: _Steepest) -> Chunks:
     chunks = torch.cartesian_prod(*counts)
     side = CHUNK_CELLS // LEVELS[-1]
     return Chunks(chunks, values.new_zeros(1).expand(len(chunks), side, side, side), values, signs)
+
+
+def _nudge_by_differences(values: Float[Tensor, "x y z"]) -> None:
+    """Move values at all nodes away from zero where they are nearer to it than NUDGE, in place."""
+    change = torch.zeros_like(values)  # the most between a node and the next ones
+    for axis, count in enumerate(values.shape):
+        steps = values.diff(dim=axis).abs_()
+        for first in (0, 1):
+            beside = change.narrow(axis, first, count - 1)
+            torch.maximum(beside, steps, out=beside)
+    near = (values.abs() <= NUDGE * change.max()).nonzero(as_tuple=True)
+    found = values[near]
+    # On level ground beside steep one a thousandth of the steepest is enough to tell a place from the nodes.
+    least = NUDGE * change[near].clamp(min=1e-3 * float(change.max()))
+    values[near] = (1 - 2 * (found < 0).to(torch.int8)) * found.abs().maximum(least)
 
 
 def _nudged(field: Field, grid: Grid, points: Float[Tensor, "n 3"], steepest: _Steepest) -> Float[Tensor, " n"]:
@@ -287,6 +320,10 @@ class _Blocks:
         return cls(index, side, values, torch.where(near & at_border, 0.0, clear), near)
 
 
+# Of a node near the surface that nothing has been told of yet.
+UNTOLD = 3
+
+
 def _node_values(
     field: Field, grid: Grid, blocks: _Blocks, steepest: _Steepest
 ) -> tuple[Float[Tensor, "x y z"], Int8[Tensor, "x y z"]]:
@@ -295,70 +332,83 @@ def _node_values(
     A node in the clear about the middle of a block has the sign of that middle, whose value stands for its own unless
     the surface runs through one of its edges. This spares half of the evaluations.
     """
-    count = int(np.prod(grid.nodes, dtype=np.int64))
+    nodes = [2 * -(-count // 2) + 1 for count in grid.cells]  # to the end of the last block
+    strides = [nodes[1] * nodes[2], nodes[2], 1]
+    count = nodes[0] * strides[0]
     values = torch.empty(count, dtype=torch.float32, device=field.device)
     signs = torch.zeros(count, dtype=torch.int8, device=field.device)  # twice the sign where the value is its own
-    strides = torch.tensor([grid.nodes[1] * grid.nodes[2], grid.nodes[2], 1], device=field.device)
     top = torch.tensor(grid.cells, device=field.device)
 
+    def index_of(flat: Int[Tensor, " n"]) -> Int[Tensor, "n 3"]:
+        return torch.stack([flat // strides[0], flat // strides[1] % nodes[1], flat % nodes[2]], dim=1)
+
     def evaluate(flat: Int[Tensor, " n"]) -> None:
-        index = torch.stack([flat // strides[0], flat // strides[1] % grid.nodes[1], flat % grid.nodes[2]], dim=1)
+        index = index_of(flat)
         points = grid.place(index).float()
         found = _nudged(field, grid, points, steepest)
         if bool((out := ((index == 0) | (index == top)).any(dim=1) & (found < 0)).any()):
             raise _leaves(field, points[out][0])
-        values[flat], signs[flat] = found, 2 - 4 * (found < 0).to(torch.int8)
+        values.scatter_(0, flat, found)
+        signs.scatter_(0, flat, 2 - 4 * (found < 0).to(torch.int8))
 
-    nodes, unsettled = [], []
-    for index, value, clear in _clearest(blocks, grid):
-        flat = (index * strides).sum(dim=1)
-        values[flat], signs[flat] = value, 1 - 2 * (value < 0).to(torch.int8)
-        nodes.append(flat)
-        unsettled.append(flat[~clear])
-    evaluate(torch.cat(unsettled))
-    flat = torch.cat(nodes)
+    flat = _told_by_blocks(blocks, grid, strides, values, signs)
+    if any(count % 2 for count in grid.cells):
+        beyond = (index_of(flat) > top).any(dim=1)
+        signs[flat[beyond]] = 0
+        flat = flat[~beyond]
+    evaluate(flat.masked_select(signs.index_select(0, flat) == UNTOLD))
     mistaken = True
     while mistaken:
-        sign, ends = signs[flat], []
+        sign, ends = signs.index_select(0, flat), []
         for stride in strides:
             beside = (flat + stride).clamp(max=count - 1)
-            other = signs[beside]
-            crossed = sign * other < 0
-            ends += [flat[crossed & (sign.abs() == 1)], beside[crossed & (other.abs() == 1)]]
+            other = signs.index_select(0, beside)
+            crossed = (sign * other < 0).nonzero()[:, 0]
+            for side, nodes_of_side in ((sign, flat), (other, beside)):
+                ends.append(nodes_of_side[crossed].masked_select(side[crossed].abs() == 1))
         told = torch.unique(torch.cat(ends))
         before = signs[told]
         evaluate(told)
         # A middle that spoke wrongly for a node may have done so for those beside it.
         mistaken = bool((signs[told] * before < 0).any())
-    return values.view(grid.nodes), signs.view(grid.nodes)
+    where = tuple(slice(count) for count in grid.nodes)
+    return values.view(nodes)[where], signs.view(nodes)[where]
 
 
-def _clearest(
-    blocks: _Blocks, grid: Grid
-) -> Iterator[tuple[Int[Tensor, "n 3"], Float[Tensor, " n"], Bool[Tensor, " n"]]]:
-    """The nodes of the blocks of two cells that are near, those of like parity together.
+def _told_by_blocks(
+    blocks: _Blocks, grid: Grid, strides: list[int], values: Float[Tensor, " n"], signs: Int8[Tensor, " n"]
+) -> Int[Tensor, " k"]:
+    """Set the signs of the nodes of near blocks, with values for now, that middles of blocks tell; the others UNTOLD.
 
-    Of each node its index, f at the middle of that block about it which has most room, and whether the node lies in it.
+    Args:
+        blocks: Of two cells.
+        grid: The grid.
+        strides: From node to node along each axis in the arrays of values and signs.
+        values, signs: To be set.
+
+    Returns:
+        The nodes of the blocks that are near, each once.
     """
-    # The blocks as dense arrays, with one of no room on each side.
-    extent = [-(-count // 2) + 2 for count in grid.cells]
-    here = tuple((blocks.index + 1).T)
-    near, clear, values = (blocks.values.new_zeros(extent, dtype=dtype) for dtype in (torch.bool, None, None))
-    near[here], clear[here], values[here] = blocks.near, blocks.clear, blocks.values
-    for odd in product((0, 1), repeat=3):
-        # Node 2 k + odd lies in block k, and where it is even on the border to block k - 1; in the arrays, k + 1 and k.
-        around = list(product(*[(1,) if o else (0, 1) for o in odd]))
-        sizes = [(count - o) // 2 + 1 for count, o in zip(grid.cells, odd)]
-        found = torch.zeros(sizes, dtype=torch.bool, device=near.device)
-        for corner in around:
-            found |= near[tuple(slice(first, first + size) for first, size in zip(corner, sizes))]
-        index = found.nonzero()
-        flat = (index * torch.tensor(near.stride(), device=near.device)).sum(dim=1)
-        places = torch.stack([flat + int(np.dot(corner, near.stride())) for corner in around])
-        room, which = clear.view(-1)[places].max(dim=0)
-        value = values.view(-1)[places.gather(0, which[None])[0]]
-        # From a middle to a node is one cell along each axis where the node is even.
-        yield 2 * index + torch.tensor(odd, device=near.device), value, room > grid.cell * (3 - sum(odd)) ** 0.5
+    first = (2 * blocks.index * torch.tensor(strides, device=signs.device)).sum(dim=1)
+    steps = [(int(np.dot(way, strides)), way) for way in product(range(3), repeat=3)]
+    nodes, near = [], first[blocks.near]
+    # Gathered and scattered by name: indexing by tensors takes five times as long.
+    for step, _ in steps:
+        some = near + step
+        some = some.masked_select(signs.index_select(0, some) == 0)
+        signs.scatter_(0, some, UNTOLD)
+        nodes.append(some)
+    sides = 1 - 2 * (blocks.values < 0).to(torch.int8)
+    for step, way in steps:
+        # From the middle to a node is one cell along each axis on which it is not the middle one.
+        room = grid.cell * sum(k != 1 for k in way) ** 0.5
+        speaking = (blocks.clear > room).nonzero()[:, 0]
+        some = first.index_select(0, speaking) + step
+        untold = (signs.index_select(0, some) == UNTOLD).nonzero()[:, 0]
+        some, speaking = some.index_select(0, untold), speaking.index_select(0, untold)
+        signs.scatter_(0, some, sides.index_select(0, speaking))
+        values.scatter_(0, some, blocks.values.index_select(0, speaking))
+    return torch.cat(nodes)
 
 
 def node_values(field: Field, grid: Grid) -> Callable[[NDArray[np.int64]], NDArray[np.float32]]:
@@ -419,7 +469,7 @@ class _Steepest:
                 pooled = torch.nn.functional.max_pool3d(pooled, [2 * m + 1 for m in margin], stride=1, padding=margin)
             self._bounds[around] = pooled.view(-1)
         index = ((points - self._lower) / self._step).round().long().clamp(0, self.nodes - 1)
-        return self._bounds[around][(index * self._strides).sum(dim=1)]
+        return self._bounds[around].index_select(0, (index * self._strides).sum(dim=1))
 
 
 # In the plane: all at once

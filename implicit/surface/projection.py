@@ -94,6 +94,7 @@ def place_on_surface(
     iterations: int = 30,
     segments: Segments | None = None,
     thorough: bool = False,
+    brackets: bool = True,
 ) -> Placement:
     """Place points as newton_to_surface does, and tell where the field jumps.
 
@@ -108,6 +109,7 @@ def place_on_surface(
             on its segment. None, or ends of the same sign, leave it the walk along the gradient.
         thorough: True looks all around from each point whose gradient leads nowhere, as in a hollow of |f| off the
             surface; False does so where there is no gradient alone, since most such points are better given up.
+        brackets: False gives up what Newton's method does not bring to the surface.
     """
     field.require_points(points)
     if in_working_precision(field) is not field:
@@ -120,17 +122,18 @@ def place_on_surface(
             iterations=iterations,
             segments=None if segments is None else (single[1], single[2]),
             thorough=thorough,
+            brackets=brackets,
         )
         return Placement(found.points.to(points), found.arrived, found.jumps, found.gradients.to(points))
     if tolerance is None:
-        tolerance = field.size * (1e-12 if field.dtype == torch.float64 else 1e-6)
+        tolerance = placing_tolerance(field)
     current, arrived, gradients = _newton(field, points, reach, tolerance, iterations)
     away = ~arrived
     if segments is not None:
         away = away | ((current - points).norm(dim=1) > LEASH * (segments[1] - segments[0]).norm(dim=1))
     jumps = torch.zeros_like(arrived)
     left = away.nonzero()[:, 0]
-    if len(left):
+    if len(left) and brackets:
         chosen = None if segments is None else (segments[0][left], segments[1][left])
         start, end, at_start, at_end, known = _brackets(field, points[left], reach, tolerance, chosen, thorough)
         zeros = bracketed_zeros(field, start, end, at_start, at_end, tolerance)
@@ -138,6 +141,11 @@ def place_on_surface(
         current[left], arrived[left], jumps[left] = zeros.points, ~zeros.jumps, zeros.jumps
         gradients[left] = field.gradient(zeros.points)
     return Placement(current, arrived, jumps, gradients)
+
+
+def placing_tolerance(field: Field) -> float:
+    """Return the distance from the surface at which a point has arrived, where the caller names none."""
+    return field.size * (1e-12 if field.dtype == torch.float64 else 1e-6)
 
 
 def in_working_precision(field: Field) -> Field:
@@ -156,23 +164,26 @@ def _newton(
     for _ in range(iterations):
         if len(going) == 0:
             break
-        x = current[going]
+        every = len(going) == len(points)  # then nothing is gathered or scattered: that takes as long as a layer
+        x = current if every else current.index_select(0, going)
+        begun = points if every else points.index_select(0, going)
         f, g = field.value_and_gradient(x, validate=False)  # those that strayed or are not finite go no further
-        gradients[going] = g
+        gradients = g if every else gradients.index_copy_(0, going, g)
         square = (g * g).sum(dim=1)
         step = -(f / square.clamp(min=torch.finfo(f.dtype).tiny))[:, None] * g
         length = step.norm(dim=1)
         # Longer steps than a quarter of the reach are the sign of a small gradient, not of a distant surface.
         step = step * (0.25 * reach / length.clamp(min=0.25 * reach))[:, None]
         moved = x + step
-        strayed = ~torch.isfinite(moved).all(dim=1) | ((moved - points[going]).norm(dim=1) > reach)
+        strayed = ~((moved - begun).norm(dim=1) <= reach)  # or not finite
         strayed |= (square == 0) & (f != 0)  # no step is none that has arrived
         # Newton squares the error: a step s leaves about s^2 / (2 r) where the surface has radius r. Taking r for a
         # hundredth of the field's size saves a gradient; the values below tell whether it was so.
         there = (torch.minimum(length, 50 / field.size * length**2) <= tolerance) & ~strayed
-        current[going] = torch.where(strayed[:, None], x, moved)
-        arrived[going[there]] = True
-        going = going[~there & ~strayed]
+        moved = torch.where(strayed[:, None], x, moved)
+        current = moved if every else current.index_copy_(0, going, moved)
+        arrived.scatter_(0, going, there)
+        going = going.masked_select(~there & ~strayed)
     if len(going):
         f, g = field.value_and_gradient(current[going], validate=False)
         gradients[going] = g
@@ -180,7 +191,9 @@ def _newton(
     claimed = arrived.nonzero()[:, 0]
     if len(claimed):
         # Where the gradient has jumped in the last step, the step was not the whole way.
-        arrived[claimed] = field.value(current[claimed]).abs() <= SLACK * tolerance * gradients[claimed].norm(dim=1)
+        every = len(claimed) == len(points)
+        x, g = (current, gradients) if every else (part.index_select(0, claimed) for part in (current, gradients))
+        arrived.scatter_(0, claimed, field.value(x).abs() <= SLACK * tolerance * g.norm(dim=1))
     return current, arrived, gradients
 
 

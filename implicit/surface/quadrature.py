@@ -9,8 +9,9 @@ flat, and the order falls to the second.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -20,12 +21,20 @@ from torch import Tensor
 from implicit.arguments import counted, kind_of
 from implicit.field.field import Field, SurfaceError, require_field
 from implicit.surface.creases import edges_of, split_at_creases
-from implicit.surface.extraction import PlacedOnGrid, placed_on_grid
+from implicit.surface.extraction import LOST, PlacedOnGrid, placed_on_grid
 from implicit.surface.marching import Grid
 from implicit.surface.projection import discontinuous, in_working_precision, place_on_surface
 
 # Six-point rule of degree 4 on the triangle (Dunavant 1985): two orbits (1 - 2a, a, a) and their weights.
 _TRIANGLE_ORBITS = ((0.445948490915965, 0.223381589678011), (0.091576213509771, 0.109951743655322))
+
+# Least slope of a field beside the median, where it is taken to vanish; as in Field.gradient_length.
+LEVEL = 1e-7
+
+# A quadrature is kept, or carried along, where its surface has moved by no more than so many cells at PROBED nodes.
+KEPT = 1e-4
+CARRIED = 1 / 8
+PROBED = 500
 
 # A middle node farther from the middle of its chord than this share of it makes no cell that follows the surface: an
 # edge over half a circle has its middle there. On a mesh with creases the gradient may lead a middle astray, along the
@@ -91,6 +100,39 @@ def require_sample(field: Field, sample: SurfaceSample) -> SurfaceSample:
     return sample
 
 
+@dataclass(frozen=True, eq=False)
+class CurvedCells:
+    """Quadratic cells by the places that they share.
+
+    Attributes:
+        places: Corners of the cells, then middles of their edges, each once (K, D).
+        index: The nodes of each cell among these: six of a triangle, or in the plane three of a segment.
+        slopes: |df/dx| at the places, or near (K,); None where the cells were split along creases, across which it
+            jumps and which share no middles.
+    """
+
+    places: Float[Tensor, "k d"]
+    index: Int[Tensor, "m n"]
+    slopes: Float[Tensor, " k"] | None
+
+    @property
+    def nodes(self) -> Float[Tensor, "m n d"]:
+        """Nodes of each cell."""
+        return self.places[self.index]
+
+    def slopes_at_points(self) -> Float[Tensor, " q"] | None:
+        """Return about |df/dx| at the points of the quadrature, no less than the least at a cell's nodes.
+
+        None where it is not known, or vanishes.
+        """
+        if self.slopes is None or not bool((self.slopes > LEVEL * self.slopes.median()).all()):
+            return None
+        shape, _, _ = _segment_rule() if self.places.shape[1] == 2 else _triangle_rule()
+        at_nodes = self.slopes[self.index]
+        least = functools.reduce(torch.minimum, at_nodes.unbind(dim=1))  # amin over few neighbours in memory is slow
+        return torch.maximum(at_nodes @ shape.to(at_nodes).T, least[:, None]).flatten()
+
+
 Entered = tuple[Int[Tensor, "n d"], Float[Tensor, "n d"]]  # cells, and a point of the surface in each
 
 
@@ -103,6 +145,8 @@ class MeshedSample:
     faces: Int[Tensor, "m d"]  # corners of the cells
     grid: Grid
     signs: Int8[Tensor, "*nodes"]  # of f at the nodes of the grid, zero where the surface is far
+    curved: CurvedCells | None = None  # the cells beneath the quadrature
+    slopes: Float[Tensor, " q"] | None = None  # about |df/dx| at its points, where that is known
     refined: int = 0  # cells of the grid that the quadrature has finer than the mesh
     entered: Entered | None = None  # cells of one sign with the surface in them, where these have been looked for
 
@@ -133,21 +177,72 @@ def surface_quadrature(field: Field, resolution: int = 64, *, exact_points: bool
 def meshed_quadrature(field: Field, resolution: int) -> MeshedSample:
     """Return the quadrature of surface_quadrature, its points left on the cells, with the marched mesh."""
     curved = curved_mesh(field, resolution)
-    return meshed_sample(field, curved.nodes, curved.marched)
+    return meshed_sample(field, curved.cells, curved.marched)
 
 
-def meshed_sample(field: Field, nodes: Float[Tensor, "m k d"], marched: PlacedOnGrid, refined: int = 0) -> MeshedSample:
-    """Return the quadrature over curved cells, with the marched mesh beneath and how many of its cells were refined."""
-    points, normals, weights = _curved_rule(nodes)
-    keep = weights > 0
-    sample = SurfaceSample(points[keep], normals[keep], weights[keep]).to(field.dtype)
+def meshed_sample(field: Field, cells: CurvedCells, marched: PlacedOnGrid) -> MeshedSample:
+    """Return the quadrature over curved cells, with the marched mesh beneath."""
+    sample, slopes = _sample_of(field, cells)
     vertices = marched.placement.points.to(field.dtype)
-    return MeshedSample(sample, vertices, marched.faces, marched.grid, marched.signs, refined)
+    return MeshedSample(sample, vertices, marched.faces, marched.grid, marched.signs, cells, slopes)
+
+
+def _sample_of(field: Field, cells: CurvedCells) -> tuple[SurfaceSample, Float[Tensor, " n"] | None]:
+    """Return the quadrature over cells, and about |df/dx| at its points."""
+    points, normals, weights = _curved_rule(cells.nodes)
+    slopes = cells.slopes_at_points()
+    keep = weights > 0
+    if not bool(keep.all()):
+        points, normals, weights = points[keep], normals[keep], weights[keep]
+        slopes = None if slopes is None else slopes[keep]
+    sample = SurfaceSample(points, normals, weights).to(field.dtype)
+    return sample, None if slopes is None else slopes.to(field.dtype)
+
+
+def carried(field: Field, meshed: MeshedSample) -> MeshedSample | None:
+    """Return the quadrature of a surface that has moved by a small part of a cell: its nodes placed on f = 0 anew.
+
+    Where none has moved by more than KEPT of a cell it comes back as it is, and a node that Newton's method does not
+    bring to the surface stays where it is: functionals correct their values for the distance, to first order.
+
+    Args:
+        field: With the surface after the motion.
+        meshed: The quadrature before it.
+
+    Returns:
+        None where the surface has moved farther than CARRIED of a cell, or many nodes are lost: then it is to be
+        marched.
+    """
+    cells, cell = meshed.curved, meshed.grid.cell
+    if cells is None or cells.slopes is None:
+        return None
+    field = in_working_precision(field)
+    some = slice(None, None, max(1, len(cells.places) // PROBED))
+    moved = (field.value(cells.places[some]) / cells.slopes[some]).abs()
+    if not bool((moved <= CARRIED * cell).all()):
+        return None
+    if bool((moved <= KEPT * cell).all()):
+        return meshed
+    found = place_on_surface(field, cells.places, reach=2 * CARRIED * cell, brackets=False)
+    if int((~found.arrived).sum()) > LOST * len(found.arrived):
+        return None
+    points = torch.where(found.arrived[:, None], found.points, cells.places)
+    cells = CurvedCells(points, cells.index, torch.where(found.arrived, found.gradients.norm(dim=1), cells.slopes))
+    sample, slopes = _sample_of(field, cells)
+    dtype = meshed.sample.points.dtype
+    return replace(
+        meshed,
+        sample=sample.to(dtype),
+        slopes=None if slopes is None else slopes.to(dtype),
+        vertices=points[: len(meshed.vertices)].to(dtype),
+        curved=cells,
+        entered=None,
+    )
 
 
 def curved_cells(field: Field, resolution: int) -> Float[Tensor, "m k d"]:
     """Return the nodes of quadratic cells on the surface: six of a triangle, or in the plane three of a segment."""
-    return curved_mesh(field, resolution).nodes
+    return curved_mesh(field, resolution).cells.nodes
 
 
 def cell_points(
@@ -166,6 +261,23 @@ def cell_points(
     points = torch.einsum("mk,mkd->md", shape, nodes)
     tangents = torch.einsum("mkt,mkd->mtd", slopes, nodes)
     return points, _across(tangents)
+
+
+def cell_elements(nodes: Float[Tensor, "m k d"], at: Float[Tensor, "q t"]) -> Float[Tensor, "q m"]:
+    """Return the area (or length) that each quadratic cell has per unit of barycentric area, at the same places of all.
+
+    Args:
+        nodes: As curved_cells gives them.
+        at: The last barycentric coordinates of each place: two in a triangle, one in a segment.
+    """
+    if nodes.shape[2] == 2:
+        _, slopes = _segment_shapes(at[:, 0])
+    else:
+        _, slopes = _triangle_shapes(1 - at.sum(dim=1), at[:, 0], at[:, 1])
+    count, k, dimension = nodes.shape
+    # One product of matrices for all places and cells.
+    tangents = slopes.transpose(1, 2).reshape(-1, k) @ nodes.transpose(0, 1).reshape(k, -1)
+    return _across(tangents.view(len(at), -1, count, dimension).transpose(1, 2)).norm(dim=-1)
 
 
 def placed(field: Field, sample: SurfaceSample, reach: float) -> SurfaceSample:
@@ -211,14 +323,14 @@ class CurvedMesh:
     """Quadratic cells on the surface.
 
     Attributes:
-        nodes: Of each cell (M, 6, 3), or in the plane (M, 3, 2): the corners, then the middles of its edges.
+        cells: Their nodes, (M, 6, 3), or in the plane (M, 3, 2): the corners, then the middles of its edges.
         marched: The mesh beneath.
         edges: The ends of each of its edges.
         middles: The middle of each edge, on the surface.
         slopes: df/dx at these, or near.
     """
 
-    nodes: Float[Tensor, "m k d"]
+    cells: CurvedCells
     marched: PlacedOnGrid
     edges: Int[Tensor, "e 2"]
     middles: Float[Tensor, "e d"]
@@ -233,8 +345,8 @@ def curved_mesh(field: Field, resolution: int) -> CurvedMesh:
     field = in_working_precision(field)
     edges, edge_of = edges_of(cells, len(corners))
     middles, slopes = middle_nodes(field, corners, edges, reach, MOST_BULGE)
-    nodes = with_creases(field, (corners, cells, edges, edge_of), middles, (vertices.gradients, slopes), reach)
-    return CurvedMesh(nodes, marched, edges, middles, slopes)
+    curved = with_creases(field, (corners, cells, edges, edge_of), middles, (vertices.gradients, slopes), reach)
+    return CurvedMesh(curved, marched, edges, middles, slopes)
 
 
 def with_creases(
@@ -244,8 +356,8 @@ def with_creases(
     gradients: tuple[Float[Tensor, "v d"], Float[Tensor, "e d"]],
     reach: float,
     given: Callable[[Tensor, Tensor], Tensor] = lambda _, middles: middles,
-) -> Float[Tensor, "m k d"]:
-    """Return the nodes of curved cells, split along creases where there are any.
+) -> CurvedCells:
+    """Return curved cells, split along creases where there are any.
 
     Args:
         field: The field.
@@ -258,10 +370,13 @@ def with_creases(
     corners, cells, edges, edge_of = mesh
     split = split_at_creases(field, corners, cells, edges, edge_of, gradients)
     if len(split[0]) == len(corners):
-        return with_middle_nodes(corners, cells, middles, edge_of)
+        slopes = torch.cat(gradients).norm(dim=1)
+        return CurvedCells(torch.cat([corners, middles]), torch.cat([cells, edge_of + len(corners)], dim=1), slopes)
     edges, edge_of = edges_of(split[1], len(split[0]))
     middles, _ = middle_nodes(field, split[0], edges, reach, MOST_BULGE_BY_CREASES)
-    return unfolded(with_middle_nodes(*split, given(edges, middles), edge_of))
+    nodes = unfolded(torch.cat([split[0][split[1]], given(edges, middles)[edge_of]], dim=1))
+    index = torch.arange(nodes.shape[0] * nodes.shape[1], device=nodes.device).view(nodes.shape[:2])
+    return CurvedCells(nodes.flatten(0, 1), index, None)
 
 
 def middle_nodes(field: Field, corners: Tensor, edges: Tensor, reach: float, most: float) -> tuple[Tensor, Tensor]:
@@ -275,11 +390,6 @@ def middle_nodes(field: Field, corners: Tensor, edges: Tensor, reach: float, mos
     bulge = (found.points - start).norm(dim=1)
     near = found.arrived & (bulge <= most * (ends[:, 1] - ends[:, 0]).norm(dim=1))
     return torch.where(near[:, None], found.points, start), found.gradients
-
-
-def with_middle_nodes(corners: Tensor, cells: Tensor, middles: Tensor, edge_of: Tensor) -> Tensor:
-    """Nodes of the curved cells: the corners, then the middles of edges 01, 12, 20, or of the segment."""
-    return torch.cat([corners[cells], middles[edge_of]], dim=1)
 
 
 def unfolded(nodes: Tensor) -> Tensor:

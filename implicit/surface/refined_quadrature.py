@@ -18,7 +18,6 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from implicit.field.field import Field
@@ -29,6 +28,7 @@ from implicit.surface.marching import Crossings
 from implicit.surface.projection import SLACK, in_working_precision, place_on_surface
 from implicit.surface.quadrature import (
     MOST_BULGE,
+    CurvedCells,
     CurvedMesh,
     MeshedSample,
     cell_points,
@@ -38,7 +38,7 @@ from implicit.surface.quadrature import (
     with_creases,
 )
 from implicit.surface.refinement import FACTOR, ROUNDS, Pieces, RefinedGrid
-from implicit.surface.unseen import MISSED, entered_cells
+from implicit.surface.unseen import entered_cells, nearest_of_sample
 
 # A triangle is off the surface where its middle is, by more than this share of a cell, or its normal there by so much
 # that the cosine is less.
@@ -78,7 +78,7 @@ def refined_quadrature(field: Field, resolution: int, *, most: float = MOST_REFI
     """
     curved = curved_mesh(field, resolution)
     marched = curved.marched
-    meshed = meshed_sample(field, curved.nodes, marched)
+    meshed = meshed_sample(field, curved.cells, marched)
     if field.dimension == 2:
         return meshed
     working = in_working_precision(field)
@@ -87,41 +87,36 @@ def refined_quadrature(field: Field, resolution: int, *, most: float = MOST_REFI
     if len(unresolved) == 0:
         return meshed
     refined, pieces, mesh = _without_lost_seams(working, marched, unresolved)
-    sample = meshed_sample(field, _curved(working, curved, pieces, mesh), marched).sample
-    return replace(meshed, sample=sample, refined=int(refined.flags.sum()))
-
-
-def _cells_of(marched: PlacedOnGrid, points: Float[Tensor, "n 3"]) -> Int[Tensor, "n 3"]:
-    grid = marched.grid
-    top = torch.tensor(grid.cells, device=points.device) - 1
-    return torch.minimum(((points - grid.lower) / grid.cell).floor().long().clamp(min=0), top)
+    finer = meshed_sample(field, _curved(working, curved, pieces, mesh), marched)
+    return replace(finer, refined=int(refined.flags.sum()), entered=meshed.entered)
 
 
 def _unresolved(field: Field, curved: CurvedMesh, meshed: MeshedSample, most: float) -> Int[NDArray, "n 3"]:
     """Return the cells of the grid whose triangles are not on the surface, or whose surface has no triangles."""
-    nodes, cell = curved.nodes, meshed.grid.cell
+    nodes, cell = curved.cells.nodes, meshed.grid.cell
     points, across = cell_points(nodes, nodes.new_full((len(nodes), 2), 1 / 3))
     value, gradient = field.value_and_gradient(points)
     slope = gradient.norm(dim=1)
     cosine = (gradient * across).sum(dim=1) / (slope * across.norm(dim=1))
     followed = (value.abs() <= OFF * cell * slope) & (cosine >= TURNED)
-    all_cells, which = torch.unique(_cells_of(curved.marched, nodes[:, :3].mean(dim=1)), dim=0, return_inverse=True)
-    found = [all_cells[torch.unique(which[~followed])]]
+    grid = meshed.grid
+    keys = grid.number(grid.cells_of(nodes[:, :3].mean(dim=1)))
+    found = [torch.unique(keys[~followed])]
     flat = len(curved.marched.faces)
-    if len(found[0]) > most * len(all_cells) or len(nodes) - flat > MOST_CREASED * flat:
+    if len(found[0]) > most * len(torch.unique(keys)) or len(nodes) - flat > MOST_CREASED * flat:
         found = []
     assert meshed.entered is not None
     index, points = meshed.entered
     if len(points):
         sample = meshed.sample.to(points.dtype)
-        distance, nearest = cKDTree(sample.points.cpu().numpy()).query(points.cpu().numpy())
-        at, normals = (x[torch.from_numpy(nearest).to(x.device)] for x in (sample.points, sample.normals))
+        nearest, near = nearest_of_sample(meshed, index, points)
+        at, normals = sample.points[nearest], sample.normals[nearest]
         off = ((points - at) * normals).sum(dim=1).abs()
-        far = torch.from_numpy(distance > MISSED * cell).to(points.device)
         turned = (field.normal(points) * normals).sum(dim=1) < OTHERWISE
-        missed = index[far | turned | (off > BESIDE * cell)]
-        found += [missed] if len(missed) <= MOST_MISSED else []
-    return torch.unique(torch.cat([*found, index[:0]]), dim=0).cpu().numpy()
+        missed = index[~near | turned | (off > BESIDE * cell)]
+        found += [grid.number(missed)] if len(missed) <= MOST_MISSED else []
+    unresolved = torch.unique(torch.cat([*found, keys[:0]])).cpu().numpy()
+    return np.stack(np.unravel_index(unresolved, grid.cells), axis=1)
 
 
 # Vertices, and edges at seams
@@ -154,7 +149,8 @@ class _Edges:
         return _Edges(*(torch.cat([getattr(x, name) for x in (self, other)]) for name in ("ends", "axes", "cells")))
 
     def _once(self) -> _Edges:
-        _, where = torch.unique(self.ends, dim=0, return_inverse=True)
+        codes = self.ends[:, 0] * (1 + int(self.ends.max()) if len(self) else 1) + self.ends[:, 1]
+        _, where = torch.unique(codes, return_inverse=True)
         first = torch.empty(int(where.max()) + 1 if len(where) else 0, dtype=torch.long, device=where.device)
         first[where] = torch.arange(len(where), device=where.device)
         return self.only(first)
@@ -290,8 +286,8 @@ def _with_fine_vertices(field: Field, marched: PlacedOnGrid, pieces: Pieces, mes
     return _Mesh(corners, gradients, mesh.faces, mesh.seams)
 
 
-def _curved(field: Field, curved: CurvedMesh, pieces: Pieces, mesh: _Mesh) -> Float[Tensor, "m 6 3"]:
-    """Return the nodes of curved cells on the triangles, split along creases but not at seams."""
+def _curved(field: Field, curved: CurvedMesh, pieces: Pieces, mesh: _Mesh) -> CurvedCells:
+    """Return curved cells on the triangles, split along creases but not at seams."""
     corners, reach = mesh.corners, 2 * curved.marched.grid.cell
     edges, edge_of = edges_of(mesh.faces, len(corners))
     seams = mesh.seams.among(edges)
@@ -309,7 +305,9 @@ def _curved(field: Field, curved: CurvedMesh, pieces: Pieces, mesh: _Mesh) -> Fl
     points[other], slopes[other] = middle_nodes(field, corners, edges[other], reach, MOST_BULGE)
     points[seams] = in_face
     # A seam must stay whole on both sides: with a normal half way between those of its ends it crosses no crease.
-    slopes[seams] = torch.nn.functional.normalize(mesh.gradients[edges[seams]], dim=2).sum(dim=1)
+    ends = mesh.gradients[edges[seams]]
+    half_way = torch.nn.functional.normalize(torch.nn.functional.normalize(ends, dim=2).sum(dim=1), dim=1)
+    slopes[seams] = half_way * ends.norm(dim=2).mean(dim=1, keepdim=True)
 
     def given(edges: Tensor, middles: Tensor) -> Tensor:
         return middles.index_copy(0, mesh.seams.among(edges), in_face)

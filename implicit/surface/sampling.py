@@ -22,6 +22,7 @@ from implicit.surface.extraction import require_resolution
 from implicit.surface.projection import in_working_precision, newton_to_surface, project_to_surface
 from implicit.surface.quadrature import (
     SurfaceSample,
+    cell_elements,
     cell_points,
     curved_cells,
     normals_of,
@@ -222,11 +223,9 @@ def _cell_areas(nodes: Tensor) -> tuple[Tensor, Tensor]:
         on = torch.stack([lattice[:, 0] == 0, lattice[:, 1] == 0, (lattice.sum(dim=1) - 1).abs() < 1e-6]).sum(dim=0)
         share = torch.tensor([6.0, 3.0, 1.0])[on]
         unit = 0.5
-    elements = torch.stack(
-        [cell_points(nodes, at.to(nodes).expand(len(nodes), -1))[1].norm(dim=1) for at in lattice], dim=1
-    )
+    elements = cell_elements(nodes, lattice.to(nodes))
     share = (share / share.sum()).to(nodes)
-    return unit * (elements @ share), 1.1 * elements.amax(dim=1)
+    return unit * (share @ elements), 1.1 * elements.amax(dim=0)
 
 
 def _by_rejection(field: Field, n: int, resolution: int, generator: torch.Generator) -> SurfaceSample:
@@ -304,8 +303,11 @@ def _space_filling_order(centers: Tensor, field: Field) -> Tensor:
     """Return the order along the Morton curve, ten bits a coordinate."""
     unit = (centers - field.bounds[0]) / (field.bounds[1] - field.bounds[0])
     cells = (unit.clamp(0, 1) * 1023).long()
-    code = torch.zeros(len(centers), dtype=torch.long, device=centers.device)
+    numbers = torch.arange(1024, device=centers.device)
+    spread = torch.zeros_like(numbers)  # the bits of a coordinate with room between them for those of the others
     for bit in range(10):
-        for axis in range(field.dimension):
-            code |= ((cells[:, axis] >> bit) & 1) << (bit * field.dimension + axis)
+        spread |= ((numbers >> bit) & 1) << (bit * field.dimension)
+    code = spread[cells[:, 0]]
+    for axis in range(1, field.dimension):
+        code |= spread[cells[:, axis]] << axis
     return torch.argsort(code, stable=True)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -62,12 +62,10 @@ def unseen_parts(field: Field, meshed: MeshedSample) -> Unseen:
         meshed: Its quadrature, with the grid.
     """
     working = in_working_precision(field)
-    cell = meshed.grid.cell
     index, points = entered_cells(working, meshed) if meshed.entered is None else meshed.entered
     if len(points):
-        near, _ = cKDTree(meshed.sample.points.double().cpu().numpy()).query(points.double().cpu().numpy())
-        far = torch.from_numpy(near > MISSED * cell).to(points.device)
-        points, index = points[far], index[far]
+        _, near = nearest_of_sample(meshed, index, points)
+        points, index = points[~near], index[~near]
     if len(points) == 0:
         none = points.new_zeros(0)
         return Unseen(points, none, none)
@@ -76,6 +74,31 @@ def unseen_parts(field: Field, meshed: MeshedSample) -> Unseen:
     share = len(points) / len(some)
     volumes, areas = _strewn(working, meshed, index)
     return Unseen(some, share * volumes, share * areas)
+
+
+def nearest_of_sample(
+    meshed: MeshedSample, index: Int[Tensor, "n d"], points: Float[Tensor, "n d"]
+) -> tuple[Int[Tensor, " n"], Bool[Tensor, " n"]]:
+    """Return the nearest point of a quadrature to each of some points, and True where it is nearer than MISSED.
+
+    Args:
+        meshed: The quadrature.
+        index: Cells of its grid that hold the points.
+        points: The points (N, D).
+    """
+    grid, device = meshed.grid, points.device
+    # What is nearer than half a cell is in a cell beside: a tree of a small part of the quadrature tells it.
+    steps = torch.cartesian_prod(*[torch.arange(-1, 2, device=device)] * index.shape[1])
+    beside = (index[:, None] + steps).flatten(0, 1).clamp(min=0)
+    about = torch.unique(grid.number(beside.minimum(torch.tensor(grid.cells, device=device) - 1)))
+    numbers = grid.number(grid.cells_of(meshed.sample.points.to(grid.lower)))
+    place = torch.searchsorted(about, numbers).clamp(max=len(about) - 1)
+    some = (about[place] == numbers).nonzero()[:, 0]
+    if len(some) == 0:
+        return torch.zeros_like(index[:, 0]), torch.zeros(len(index), dtype=torch.bool, device=device)
+    tree = cKDTree(meshed.sample.points[some].double().cpu().numpy())
+    distance, which = tree.query(points.double().cpu().numpy())
+    return some[torch.from_numpy(which).to(device)], torch.from_numpy(distance <= MISSED * grid.cell).to(device)
 
 
 def entered_cells(field: Field, meshed: MeshedSample) -> Entered:

@@ -48,14 +48,13 @@ class Dual(Factor):
         """Factor I + R D^-1 R^T; None where rounding made that indefinite.
 
         Args:
-            gram: R D^-1 R^T, of which the lower triangle is read.
+            gram: R D^-1 R^T, of which the lower triangle is read; it is used up.
             forward, adjoint: Products of R and of its transpose with vectors.
             ridge: Diagonal of D, positive, in float64.
             seed: Seed of the estimate of the rank.
         """
-        damped = gram.clone()
-        damped.diagonal().add_(1.0)
-        factor = Cholesky.of(damped)
+        gram.diagonal().add_(1.0)
+        factor = Cholesky.of(gram)
         return None if factor is None else cls(factor, forward, adjoint, ridge, seed)
 
     def minimiser(self, right: Float[Tensor, " n"], target: Float[Tensor, " k"]) -> Float[Tensor, " n"]:

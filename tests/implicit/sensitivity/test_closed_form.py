@@ -10,7 +10,11 @@ from torch.func import grad, vmap
 
 from implicit import Field, Siren, decoder_field
 from implicit.models import Mlp
-from implicit.sensitivity.boundary_sensitivity import parameter_gradient, parameter_gradient_and_slope
+from implicit.sensitivity.boundary_sensitivity import (
+    parameter_gradient,
+    parameter_gradient_and_slope,
+    value_and_gradients,
+)
 from implicit.sensitivity.closed_form import factors, gradient, gradient_and_slope, gram, has_closed_form
 from implicit.sensitivity.moved_as_a_whole import moved_as_a_whole
 from implicit.sensitivity.row_factors import GRAM_ROWS
@@ -77,6 +81,17 @@ def test_closed_form_is_what_automatic_differentiation_gives(name):
     expected = torch.cat([rows_by_torch(field, points)[:, None], slopes_by_torch(field, points)], dim=1)
     close(gradient(field, points), expected[:, 0])
     close(gradient_and_slope(field, points), expected)
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_one_pass_gives_value_and_both_gradients(name):
+    field = field_of(name)
+    points = points_of(field)
+    values, gradients, rows = value_and_gradients(field, points)
+    expected = field.value_and_gradient(points)
+    torch.testing.assert_close(values, expected[0], rtol=1e-12, atol=1e-14)
+    torch.testing.assert_close(gradients, expected[1], rtol=1e-12, atol=1e-14)
+    torch.testing.assert_close(rows, rows_by_torch(field, points), rtol=1e-11, atol=1e-13)
 
 
 @pytest.mark.parametrize("name", [*OWN, *READ])

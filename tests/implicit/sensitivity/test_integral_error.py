@@ -172,6 +172,9 @@ def test_an_edit_says_by_how_much_it_does_not_know_what_it_holds():
     assert any("known to" in note for note in coarse.notes)
     fine = smooth(ball, holding=Holding(tolerance=1e-4, resolution=12, fine_resolution=24), **options)
     assert not any("known to" in note for note in fine.notes)
-    for edit in (coarse, fine):
+    usual = smooth(ball, holding=Holding(resolution=12, fine_resolution=14, finest_resolution=14), **options)
+    assert 1e-6 < usual.history[-1]["constraint_error"] < 4e-6
+    assert any("known to" in note and "tolerance" in note for note in usual.notes)
+    for edit in (coarse, fine, usual):
         true = abs(integrate(edit.field, Volume(), 64).value / shapes.exact_volume(ball) - 1)
         assert true <= edit.history[-1]["constraint_error"] + edit.history[-1]["constraint_gap"]

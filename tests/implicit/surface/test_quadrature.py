@@ -20,6 +20,7 @@ from implicit import (
 from implicit.families import CHAIRS
 from implicit.sensitivity.shape_functionals import volume_terms
 from implicit.surface.marching import Grid, march, near_surface
+from implicit.surface.quadrature import carried, meshed_quadrature
 
 TORUS_AREA = 4 * math.pi**2 * 0.7 * 0.25
 TORUS_VOLUME = 2 * math.pi**2 * 0.7 * 0.25**2
@@ -167,6 +168,30 @@ def test_chunks_fit_together(resolution):
         assert len(np.unique(directed, axis=0)) == len(directed)
         forward, backward = (set(map(tuple, part)) for part in (directed, directed[:, ::-1]))
         assert forward == backward
+
+
+def test_a_quadrature_is_carried_along_with_a_surface_that_moves_little():
+    """A ball that grows by a tenth of a cell, by nothing, and by a whole cell."""
+    ball = shapes.sphere(radius=0.5, parameters=["radius"])
+    before = meshed_quadrature(ball, 24)
+    grown = ball.with_theta(ball.theta + 0.1 * ball.size / 24)
+    after = carried(grown, before)
+    assert torch.equal(after.faces, before.faces)
+    radius = 0.5 + 0.1 * ball.size / 24
+    torch.testing.assert_close(after.vertices.norm(dim=1), torch.full_like(after.vertices[:, 0], radius))
+    assert float(after.sample.weights.sum()) == pytest.approx(4 * math.pi * radius**2, rel=1e-4)
+    assert Volume().value_on(grown, after) == pytest.approx(4 / 3 * math.pi * radius**3, rel=1e-7)
+    assert carried(ball, before) is before
+    assert carried(ball.with_theta(ball.theta + ball.size / 24), before) is None
+
+
+@pytest.mark.parametrize("name", ["spot", "bracket"])
+def test_slopes_from_the_nodes_of_cells_are_good_enough_for_a_volume(name):
+    """The distance of the cells from the surface is known to a twentieth by them, as far as the volume is concerned."""
+    field = shapes.bundled(name).to(torch.float64)
+    meshed = meshed_quadrature(field, 48)
+    on_the_cells, exact = float(volume_terms(meshed.sample).sum()), Volume().value(field, meshed.sample)
+    assert abs(Volume().value_on(field, meshed) - exact) < 0.05 * abs(on_the_cells - exact)
 
 
 def test_a_grid_beyond_the_memory_limit_is_refused_at_once():
