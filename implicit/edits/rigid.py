@@ -39,18 +39,22 @@ from implicit.field.field import Field, require_field
 from implicit.sensitivity.moved_as_a_whole import moved_as_a_whole
 from implicit.sensitivity.pointwise_curvature import normal_turning
 from implicit.sensitivity.shape_functionals import Area, Functional, Volume
-from implicit.sensitivity.weak_curvature import WeakSurface
+from implicit.sensitivity.weak_curvature import FloatArray, IntArray, WeakSurface
 from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import Energy, Killing, VectorTarget
 from implicit.step.mesh_killing import MeshKilling
 from implicit.step.off_surface import off_surface
 from implicit.step.parameter_basis import spanned, spans_by_factors
+from implicit.step.point_rows import room_for_rows
 from implicit.step.problem import DampingRule, Row, StepProblem
 from implicit.step.rest_shape import Deformation, RestShape
 from implicit.step.tangential_basis import CosineFeatures, TangentialModel
+from implicit.step.vertex_motion import VertexMotion
+from implicit.surface.dual_mesh import connected_points
+from implicit.surface.extraction import marched_surface
 from implicit.surface.quadrature import SurfaceSample
 from implicit.surface.sampling import carrying_points, sample_surface
-from implicit.surface.soundness import field_soundness
+from implicit.surface.soundness import field_soundness, soundness_on_mesh
 
 # Damping of a step relative to the trace of its normal matrix. Ten times less lets ripples in, which cost strain as
 # soon as a motion is not small; ten times more holds the surface back. What is not linear in a step falls with the
@@ -88,6 +92,15 @@ VERTICES_OF_CELLS = 1.5
 
 # Cells along the longest side of the bounds of such a mesh: fewer lose the shape, more cost more than the points would.
 FEWEST_CELLS, MOST_CELLS = 24, 64
+
+# Vertices of a finer mesh to each point, from which the points can be connected, and cells along the longest side of the
+# bounds of the one that is made where they cannot. And how near the weights must come, in all, to the areas about the
+# points for a mesh of these to carry their energy.
+FINER, MOST_FINE_CELLS = 5, 192
+LIKE_AREAS = 0.1
+
+# Points off the surface, beside those on it.
+OFF_SURFACE_POINTS = 500
 
 
 def rigid_edit(
@@ -207,7 +220,10 @@ def rigid_edit(
         )
         return finite_rigid_edit(finite, field_soundness(field, resolution), choice.notes, began)
     operation = prepare(precise, handles, settings, tangential, points)
-    before = field_soundness(field, resolution)
+    before, *finer = soundness_on_mesh(field, resolution)
+    operation = replace(operation, mesh_cells=_mesh_cells(precise, operation.sample, operation.settings))
+    if tangential is None:
+        operation = replace(operation, faces=vertex_faces(precise, operation, *finer))
     edit = _by_linear_steps(precise, operation, constraints, resolution, tracked, progress)
     edit = replace(edit, field=edit.field.to(field.dtype), notes=(*choice.notes, *edit.notes))
     return with_evidence(edit, field, before, resolution)
@@ -224,7 +240,6 @@ def _by_linear_steps(
     """Return the edit by linear steps from the best rigid placement, in float64, without its evidence."""
     sample, settings = operation.sample, operation.settings
     target, whole = operation.targets.target(), operation.placement(1.0)
-    operation = replace(operation, mesh_cells=_mesh_cells(precise, sample, settings))
     if _can_be_placed(precise, whole, sample, constraints):
         start, operation = whole.field(precise), replace(operation, begin=whole)
     else:
@@ -248,6 +263,41 @@ def _by_linear_steps(
         wanted=target,
         notes=(*edit.notes, *operation.notes(precise)),
     )
+
+
+def vertex_faces(
+    field: Field, operation: RigidOperation, vertices: FloatArray, faces: IntArray
+) -> IntArray | None:
+    """Return triangles between the points that carry an edit, so that they can move freely along the surface.
+
+    Args:
+        field: At the start.
+        operation: Of the edit.
+        vertices, faces: A mesh of its surface (V, 3), (m, 3); where it is too coarse a finer one is made.
+
+    Returns:
+        The triangles (m, 3); None where the energy is not that of a mesh of the points: without bending or with a
+        thickness, of fields whose second derivatives do not tell how they bend, with weights that are no areas, or
+        where there is no room for the sensitivities or the points make no mesh.
+    """
+    sample, settings = operation.sample, operation.settings
+    if settings.bending == 0 or settings.thickness > 0 or operation.mesh_cells is not None:
+        return None
+    if not room_for_rows(field, len(sample) + OFF_SURFACE_POINTS):
+        return None
+    points, normals = (part.detach().double().cpu().numpy() for part in (sample.points, sample.normals))
+    found = None
+    if len(vertices) >= FINER * len(points):
+        found = connected_points(points, normals, vertices, faces)
+    if found is None:
+        cells = MOST_FINE_CELLS
+        finer = marched_surface(field.to(torch.float32), cells)
+        found = connected_points(points, normals, *(part.cpu().numpy() for part in finer))
+    if found is None:
+        return None
+    areas, weights = WeakSurface(points, found).masses, sample.weights.double().cpu().numpy()
+    likely = abs(weights.sum() / areas.sum() - 1) < LIKE_AREAS and bool((weights > 0).all())
+    return found if likely else None
 
 
 def _finite_alone(method: Method, what: str) -> Method:
@@ -421,6 +471,8 @@ class RigidOperation:
         begin: The rigid motion that took the field and the sample to where the loop begins; None is none.
         mesh_cells: Cells along the longest side of the bounds of the mesh on which E_K is taken; None takes it at the
             points of the sample.
+        faces: Triangles between the points of the sample (m, 3), on which E_K is then taken, and whose vertices move
+            freely along the surface; None spans that motion by `tangential`.
     """
 
     columns: ClassVar[tuple[str, ...]] = ()
@@ -431,6 +483,7 @@ class RigidOperation:
     tangential: TangentialModel
     begin: Placement | None = None
     mesh_cells: int | None = None
+    faces: IntArray | None = None
 
     def placement(self, fraction: float) -> Placement:
         """Return the rigid motion that takes the held points nearest to their targets after the fraction."""
@@ -445,6 +498,8 @@ class RigidOperation:
 
     def notes(self, field: Field) -> tuple[str, ...]:
         """Return what to know of the answer: whether the strain is seen at fewer places than could hide it."""
+        if self.faces is not None:
+            return self._few_points(field)
         combinations = _combinations(field)
         count = len(field.theta) if combinations is None else combinations
         unknowns = count + 3 * self.tangential.count
@@ -465,6 +520,20 @@ class RigidOperation:
             "points or more, or fewer waves.",
         )
 
+    def _few_points(self, field: Field) -> tuple[str, ...]:
+        """Return whether a mesh of the points has fewer strains than there are unknowns; of many, COMBINATIONS count.
+
+        Of three strains to a triangle, six to a vertex, two decide how that moves along the surface.
+        """
+        strains, unknowns = 4 * len(self.sample), min(len(field.theta), ALL_PARAMETERS)
+        if strains >= unknowns:
+            return ()
+        return (
+            f"The strain between {len(self.sample)} points leaves {strains} equations for {unknowns} parameters, so "
+            "that between the points the surface may be strained unseen. "
+            f"Take {-(-unknowns // 4)} points or more.",
+        )
+
     def step(self, state: State[None]) -> StepProblem:
         """Return the problem of this step."""
         held, settings = self.targets.prescribed, self.settings
@@ -478,22 +547,33 @@ class RigidOperation:
         energies: list[Energy] = [strain, reach]
         here = SurfaceSample(state.points, state.field.normal(state.points), self.sample.weights)
         strength = settings.off_surface_strength
-        away = off_surface(state.field, here, strength=strength, seed=settings.seed + state.step)
+        away = off_surface(
+            state.field, here, strength=strength, points=OFF_SURFACE_POINTS, seed=settings.seed + state.step
+        )
         if strength > 0:
             energies.append(away)
-        count = _combinations(state.field)
-        basis = None if count is None else spanned(state.field, state.points, away.points, count)
         return StepProblem(
-            DeformationSpace(state.field, self.tangential, basis),
+            self._space(state.field, state.points, away.points),
             energies,
             # A large error will do, for the surface is brought to where the step sends it.
             DampingRule(settings.damping, first=damping, least=damping, allowed_error=0.3),
             correction_weights=self.sample.weights,
         )
 
+    def _space(self, field: Field, points: Tensor, away: Tensor) -> DeformationSpace:
+        """Return the displacements that a step chooses from, of a field at points on its surface and off it."""
+        if self.faces is not None:
+            return VertexMotion(field, points, self.faces)
+        count = _combinations(field)
+        basis = None if count is None else spanned(field, points, away, count)
+        return DeformationSpace(field, self.tangential, basis)
+
     def _strain(self, state: State[None]) -> Energy:
         """Return E_K of the current surface."""
         settings = self.settings
+        if self.faces is not None:
+            points = state.points.detach().double().cpu().numpy()
+            return MeshKilling(WeakSurface(points, self.faces), settings.bending)
         if self.mesh_cells is None:
             return Killing(state.points, self.sample.weights, settings.bending, settings.thickness)
         return MeshKilling(WeakSurface.extracted(state.field, self.mesh_cells), MESH_BENDING * settings.bending)

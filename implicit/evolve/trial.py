@@ -22,6 +22,7 @@ from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import NormalTarget
 from implicit.step.least_squares import Factorised, LeastSquares, Solution, SolveStatus
 from implicit.step.problem import Projection, StepProblem, assemble, predicted_displacement
+from implicit.step.vertex_equations import VertexFactor
 from implicit.surface.projection import newton_to_surface
 
 # Where Newton's method leaves points, relative to the field's size, with a margin.
@@ -184,7 +185,7 @@ def normal_correction(
 
     A step that minimises strain moves far along the surface, and where the normal turns on the way the surface misses
     by ripples that cost more strain than the whole motion. So the rest of the motion is made up by Newton's method:
-    normal motions, each a small least squares. It stops when a correction no longer halves what is left.
+    normal motions, each a small least squares, or with motion free at each vertex the factor of the step again. It stops when a correction no longer halves what is left.
 
     Args:
         problem: Of the step.
@@ -203,12 +204,16 @@ def normal_correction(
         if not size < 0.25 * left:
             break
         left = size
-        space = DeformationSpace(field, basis=basis)
-        step = assemble(StepProblem(space, [NormalTarget(at, gap, weights)])).solve()
-        moved = field.with_theta(field.theta + space.split(step.x)[0])
+        if isinstance(trial.factorised.factor, VertexFactor):
+            step = trial.factorised.factor.fitted(gap)
+            moved = field.with_theta(field.theta + step)
+        else:
+            space = DeformationSpace(field, basis=basis)
+            step = assemble(StepProblem(space, [NormalTarget(at, gap, weights)])).solve().x
+            moved = field.with_theta(field.theta + space.split(step)[0])
         arrived_at, arrived = newton_to_surface(moved, goal, reach=trial.reach)
         if not bool(arrived.all()):
             break
         field, at = moved, arrived_at
-        change[: len(step.x)] += step.x
+        change[: len(step)] += step
     return change

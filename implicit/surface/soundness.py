@@ -8,12 +8,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from implicit.arguments import counted
 from implicit.field.field import Field, SurfaceError
 from implicit.surface.extraction import marched_crossings, placed_crossings, require_resolution
 from implicit.surface.topology import Topology, mesh_topology, surface_topology, vertices_of_pieces
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 # Share of a cell's area (or length) below which a component is spurious. The one seen so far, on the ear of a rabbit,
 # had 4e-5.
@@ -65,6 +70,14 @@ def field_soundness(field: Field, resolution: int = 48) -> Soundness:
     Raises:
         SurfaceError: There is no surface in the bounds, or it leaves them.
     """
+    return soundness_on_mesh(field, resolution)[0]
+
+
+def soundness_on_mesh(field: Field, resolution: int = 48) -> tuple[Soundness, FloatArray, IntArray]:
+    """Return the same, and the mesh on which it was measured: vertices (V, D), near the surface, and faces (m, D).
+
+    Most vertices are where the lines of the lattice cross the surface by interpolation.
+    """
     require_resolution("resolution", resolution)
     working, grid, start = marched_crossings(field, fine_cells(resolution))
     faces = start.faces.cpu().numpy()
@@ -75,13 +88,14 @@ def field_soundness(field: Field, resolution: int = 48) -> Soundness:
     placed = placed_crossings(working, grid, start.only(which)).points
     points = start.points.to(placed)
     points[which] = placed
-    topology = mesh_topology(points.double().cpu().numpy(), faces)
+    V = points.double().cpu().numpy()
+    topology = mesh_topology(V, faces)
     cell = field.size / resolution
     some = points[measured.to(points.device)].to(field.dtype)
     normals = field.normal(some)
     slopes = field.gradient(torch.cat([some, some + cell * normals, some - cell * normals])).norm(dim=1).double()
     low, median, high = (float(torch.quantile(slopes, q)) for q in (0.01, 0.5, 0.99))
-    return Soundness(topology, _pieces(field, topology, resolution), low, median, high)
+    return Soundness(topology, _pieces(field, topology, resolution), low, median, high), V, faces
 
 
 def fine_cells(resolution: int) -> int:
