@@ -26,6 +26,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.arguments import require_positive, require_whole
+from implicit.edits.connected_sample import FineMesh, connected
 from implicit.edits.finite_rigid import VERTICES, FiniteProblem, finite_rigid_edit, vertices_of
 from implicit.edits.handles import Handle
 from implicit.edits.rigid_method import Choice, Method, chosen, measured
@@ -39,7 +40,7 @@ from implicit.field.field import Field, require_field
 from implicit.sensitivity.moved_as_a_whole import moved_as_a_whole
 from implicit.sensitivity.pointwise_curvature import normal_turning
 from implicit.sensitivity.shape_functionals import Area, Functional, Volume
-from implicit.sensitivity.weak_curvature import FloatArray, IntArray, WeakSurface
+from implicit.sensitivity.weak_curvature import IntArray, WeakSurface
 from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import Energy, Killing, VectorTarget
 from implicit.step.mesh_killing import MeshKilling
@@ -50,8 +51,6 @@ from implicit.step.problem import DampingRule, Row, StepProblem
 from implicit.step.rest_shape import Deformation, RestShape
 from implicit.step.tangential_basis import CosineFeatures, TangentialModel
 from implicit.step.vertex_motion import VertexMotion
-from implicit.surface.dual_mesh import connected_points
-from implicit.surface.extraction import marched_surface
 from implicit.surface.quadrature import SurfaceSample
 from implicit.surface.sampling import carrying_points, sample_surface
 from implicit.surface.soundness import field_soundness, soundness_on_mesh
@@ -63,6 +62,10 @@ from implicit.surface.soundness import field_soundness, soundness_on_mesh
 DAMPING = 1e-8
 SMALL = 0.004
 LEAST = 0.1
+
+# The same where the points are free along the surface, when only the parameters are damped.
+VERTEX_DAMPING = 3e-8
+VERTEX_LEAST = 1 / 3
 
 # Of the energy off the surface beside the strain. It costs a small motion less than half a per cent of tangential
 # energy. Without it stray pieces stand round a bar twisted by 135 degrees.
@@ -92,12 +95,6 @@ VERTICES_OF_CELLS = 1.5
 
 # Cells along the longest side of the bounds of such a mesh: fewer lose the shape, more cost more than the points would.
 FEWEST_CELLS, MOST_CELLS = 24, 64
-
-# Vertices of a finer mesh to each point, from which the points can be connected, and cells along the longest side of the
-# bounds of the one that is made where they cannot. And how near the weights must come, in all, to the areas about the
-# points for a mesh of these to carry their energy.
-FINER, MOST_FINE_CELLS = 5, 192
-LIKE_AREAS = 0.1
 
 # Points off the surface, beside those on it.
 OFF_SURFACE_POINTS = 500
@@ -219,14 +216,37 @@ def rigid_edit(
             coupled=_tangential_model(precise, tangential, seed) if choice.coupled else None,
         )
         return finite_rigid_edit(finite, field_soundness(field, resolution), choice.notes, began)
-    operation = prepare(precise, handles, settings, tangential, points)
     before, *finer = soundness_on_mesh(field, resolution)
-    operation = replace(operation, mesh_cells=_mesh_cells(precise, operation.sample, operation.settings))
-    if tangential is None:
-        operation = replace(operation, faces=vertex_faces(precise, operation, *finer))
+    mesh = FineMesh(*finer, before.topology) if tangential is None else None
+    operation = _operation(precise, handles, settings, tangential, points, mesh)
     edit = _by_linear_steps(precise, operation, constraints, resolution, tracked, progress)
     edit = replace(edit, field=edit.field.to(field.dtype), notes=(*choice.notes, *edit.notes))
     return with_evidence(edit, field, before, resolution)
+
+
+def _operation(
+    precise: Field,
+    handles: Sequence[Handle],
+    settings: RigidSettings,
+    tangential: TangentialModel | None,
+    points: int | SurfaceSample,
+    mesh: FineMesh | None,
+) -> RigidOperation:
+    """Return what the linear steps minimise: on a mesh of the points where these can be connected by a finer mesh.
+
+    Without bending such a mesh would crumple, and it knows no stretch across the surface; where second derivatives do
+    not tell how the surface bends, the energy is that of a mesh of its own.
+    """
+    count = points if isinstance(points, int) else len(points)
+    free = mesh is not None and settings.bending > 0 and settings.thickness == 0 and precise.dimension == 3
+    free = free and room_for_rows(precise, count + OFF_SURFACE_POINTS)
+    spread = mesh.spread(precise, points, settings.seed) if free and isinstance(points, int) else None
+    operation = prepare(precise, handles, settings, tangential, points if spread is None else spread[0])
+    cells = _mesh_cells(precise, operation.sample, settings)
+    faces = None if spread is None else spread[1]
+    if free and cells is None and faces is None:
+        faces = connected(precise, operation.sample, mesh)
+    return replace(operation, mesh_cells=cells, faces=None if cells is not None else faces)
 
 
 def _by_linear_steps(
@@ -263,41 +283,6 @@ def _by_linear_steps(
         wanted=target,
         notes=(*edit.notes, *operation.notes(precise)),
     )
-
-
-def vertex_faces(
-    field: Field, operation: RigidOperation, vertices: FloatArray, faces: IntArray
-) -> IntArray | None:
-    """Return triangles between the points that carry an edit, so that they can move freely along the surface.
-
-    Args:
-        field: At the start.
-        operation: Of the edit.
-        vertices, faces: A mesh of its surface (V, 3), (m, 3); where it is too coarse a finer one is made.
-
-    Returns:
-        The triangles (m, 3); None where the energy is not that of a mesh of the points: without bending or with a
-        thickness, of fields whose second derivatives do not tell how they bend, with weights that are no areas, or
-        where there is no room for the sensitivities or the points make no mesh.
-    """
-    sample, settings = operation.sample, operation.settings
-    if settings.bending == 0 or settings.thickness > 0 or operation.mesh_cells is not None:
-        return None
-    if not room_for_rows(field, len(sample) + OFF_SURFACE_POINTS):
-        return None
-    points, normals = (part.detach().double().cpu().numpy() for part in (sample.points, sample.normals))
-    found = None
-    if len(vertices) >= FINER * len(points):
-        found = connected_points(points, normals, vertices, faces)
-    if found is None:
-        cells = MOST_FINE_CELLS
-        finer = marched_surface(field.to(torch.float32), cells)
-        found = connected_points(points, normals, *(part.cpu().numpy() for part in finer))
-    if found is None:
-        return None
-    areas, weights = WeakSurface(points, found).masses, sample.weights.double().cpu().numpy()
-    likely = abs(weights.sum() / areas.sum() - 1) < LIKE_AREAS and bool((weights > 0).all())
-    return found if likely else None
 
 
 def _finite_alone(method: Method, what: str) -> Method:
@@ -543,7 +528,8 @@ class RigidOperation:
         )
         strain = self._strain(state)
         largest = float(target.norm(dim=1).max()) / (SMALL * state.field.size)
-        damping = DAMPING * min(max(largest, LEAST), 1.0)
+        most, least = (DAMPING, LEAST) if self.faces is None else (VERTEX_DAMPING, VERTEX_LEAST)
+        damping = most * min(max(largest, least), 1.0)
         energies: list[Energy] = [strain, reach]
         here = SurfaceSample(state.points, state.field.normal(state.points), self.sample.weights)
         strength = settings.off_surface_strength

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from scipy.linalg import blas
+from scipy.linalg import blas
 from torch import Tensor
 
 
@@ -39,3 +40,4 @@ def times(lower: Float[Tensor, "n n"], x: Float[Tensor, " n"]) -> Float[Tensor, 
         return torch.from_numpy(product(1.0, lower.numpy().T, x.numpy(), lower=0))
     half = lower.tril()
     return half @ x + half.T @ x - lower.diagonal() * x
+

@@ -41,6 +41,7 @@ from implicit.step.factors.cholesky import Cholesky
 from implicit.step.factors.traces import estimated_trace
 from implicit.step.mesh_killing import MeshKilling
 from implicit.step.point_rows import PointRows
+from implicit.step.symmetric import times
 from implicit.step.vertex_motion import VertexMotion
 
 # Added to the diagonal of A, relative to its largest entry: a piece of the surface that nothing holds moves freely.
@@ -254,7 +255,6 @@ class VertexFactor(Factor):
         Args:
             enough: Whether to stop, of c, what is left of y, S S^T c, and that motion.
         """
-        rows = self._equations.rows
         c, image, left = torch.zeros_like(y), torch.zeros_like(y), y.clone()
         along = torch.zeros_like(self._equations.space.axes[:, 0, :2])
         toward = direction = self._precondition(left)
@@ -262,7 +262,7 @@ class VertexFactor(Factor):
         for _ in range(ITERATIONS):
             if not square > 0 or enough(c, left, image, along):
                 return c, along
-            product = rows.times(rows.transposed(direction))
+            product = times(self._equations.products, direction)
             yielding, aside = self._compliant(direction)
             full = product + self._damping * yielding
             length = square / float(direction @ full)

@@ -15,7 +15,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 from scipy.spatial import cKDTree
 
-from implicit.surface.topology import mesh_topology
+from implicit.surface.topology import Topology, mesh_topology
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -24,12 +24,15 @@ IntArray = NDArray[np.int64]
 NORMALS = 0.5
 
 
-def connected_points(points: FloatArray, normals: FloatArray, V: FloatArray, F: IntArray) -> IntArray | None:
+def connected_points(
+    points: FloatArray, normals: FloatArray, V: FloatArray, F: IntArray, topology: Topology
+) -> IntArray | None:
     """Return triangles between points of a surface, outward (m, 3); None where they make no mesh of it.
 
     Args:
         points, normals: Of the surface, spread evenly (N, 3).
         V, F: A closed mesh of the same surface with at least some six times as many vertices.
+        topology: Its pieces and handles.
 
     Returns:
         Triangles whose vertices are all the points, of the type of the finer mesh.
@@ -42,7 +45,7 @@ def connected_points(points: FloatArray, normals: FloatArray, V: FloatArray, F: 
     triangles = dual_triangles(cluster, F)
     if len(np.unique(triangles)) < len(points) or not is_closed(triangles):
         return None
-    return triangles if mesh_topology(points, triangles).same_type(mesh_topology(V, F)) else None
+    return triangles if mesh_topology(points, triangles).same_type(topology) else None
 
 
 def vertex_normals(V: FloatArray, F: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
