@@ -31,6 +31,9 @@ PRECISION = {torch.float32: 4e-6, torch.float64: 4e-12}
 # Corrections after a step whose surface is to go just where the linear model sends it.
 CORRECTIONS = 4
 
+# Part of the motion, squared, below which what is left to correct costs no strain worth a correction.
+NEGLIGIBLE = 1e-6
+
 # Of a step's motion: what it leaves undone is no reason to let it miss its prediction by more than this.
 UNDONE = 0.2
 
@@ -185,7 +188,7 @@ def normal_correction(
 
     A step that minimises strain moves far along the surface, and where the normal turns on the way the surface misses
     by ripples that cost more strain than the whole motion. So the rest of the motion is made up by Newton's method:
-    normal motions, each a small least squares, or with motion free at each vertex the factor of the step again. It stops when a correction no longer halves what is left.
+    normal motions, each a small least squares, or with motion free at each vertex the factor of the step again. It stops when a correction no longer halves what is left, or that is negligible.
 
     Args:
         problem: Of the step.
@@ -197,11 +200,11 @@ def normal_correction(
     goal = points + trial.predicted[:count]
     field, at, basis = trial.field, trial.projection.points[:count], problem.space.basis
     change = torch.zeros_like(trial.x)
-    left = float("inf")
+    left, moved_by = float("inf"), float(weights @ trial.predicted[:count].square().sum(dim=1))
     for _ in range(CORRECTIONS):
         gap = ((goal - at) * field.normal(at)).sum(dim=1)
         size = float(weights @ gap.square())
-        if not size < 0.25 * left:
+        if not size < 0.25 * left or size < NEGLIGIBLE * moved_by:
             break
         left = size
         if isinstance(trial.factorised.factor, VertexFactor):

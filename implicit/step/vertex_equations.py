@@ -38,7 +38,7 @@ from implicit.step.energies import Energy, FieldTarget, VectorTarget
 from implicit.step.equations import Equations, Rows
 from implicit.step.factors import Factor
 from implicit.step.factors.cholesky import Cholesky
-from implicit.step.factors.traces import estimated_trace
+from implicit.step.factors.traces import estimated_trace, random_signs
 from implicit.step.mesh_killing import MeshKilling
 from implicit.step.point_rows import PointRows
 from implicit.step.symmetric import times
@@ -49,8 +49,11 @@ LEAST = 1e-11
 
 # Distance of the energy from its minimum at which the step is taken, relative to it, and the residual of other solves,
 # relative to their right-hand sides. And products with A^-1 that are taken for either at most.
-GAP, RESIDUAL = 1e-4, 1e-10
+GAP, RESIDUAL = 1e-3, 1e-10
 ITERATIONS = 200
+
+# Part of random signs that a factor in single precision may leave: what it lacks costs products, not accuracy.
+ROUGH = 0.5
 
 # Entries of the strain whose weights a step's residual is relative to, as at points: three along the surface, and two
 # that bend it.
@@ -203,10 +206,20 @@ class VertexEquations(Equations):
         damping = float(ridge[0])
         if damping <= 0 or self.energy.factor is None:
             return None
-        damped = self.products.clone()
-        damped.diagonal().add_(damping / self.stiffness)
-        near = Cholesky.of(damped)
-        return None if near is None else VertexFactor(self, near, self.energy.factor, damping)
+        for dtype in (torch.float32, torch.float64):
+            damped = self.products.to(dtype, copy=True)
+            damped.diagonal().add_((damping / self.stiffness).to(dtype))
+            near = Cholesky.of(damped)
+            if near is not None and (dtype == torch.float64 or self._is_inverse(near, damping)):
+                return VertexFactor(self, near, self.energy.factor, damping)
+        return None
+
+    def _is_inverse(self, near: Cholesky, damping: float) -> bool:
+        """Return whether a factor in single precision will do: what it leaves of random signs, relative to these."""
+        signs = random_signs(len(self.stiffness), 1, self.seed)[:, 0].to(self.right)
+        found = near.solve(signs[:, None])[:, 0]
+        left = signs - times(self.products, found) - damping / self.stiffness * found
+        return float(left.norm() / signs.norm()) < ROUGH
 
     def __repr__(self) -> str:
         return f"VertexEquations({self.space!r}, {len(self.targets)} equations off the surface)"
