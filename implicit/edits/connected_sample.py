@@ -12,7 +12,7 @@ import torch
 
 from implicit.field.field import Field, SurfaceError
 from implicit.sensitivity.weak_curvature import FloatArray, IntArray, WeakSurface
-from implicit.surface.dual_mesh import connected_points, vertex_normals
+from implicit.surface.dual_mesh import connected_points
 from implicit.surface.extraction import marched_surface
 from implicit.surface.projection import newton_to_surface
 from implicit.surface.quadrature import SurfaceSample

@@ -188,7 +188,8 @@ def normal_correction(
 
     A step that minimises strain moves far along the surface, and where the normal turns on the way the surface misses
     by ripples that cost more strain than the whole motion. So the rest of the motion is made up by Newton's method:
-    normal motions, each a small least squares, or with motion free at each vertex the factor of the step again. It stops when a correction no longer halves what is left, or that is negligible.
+    normal motions, each a small least squares, or with motion free at each vertex by the factor of the step again. It
+    stops when a correction no longer halves what is left, or that is negligible; one that makes it more is left out.
 
     Args:
         problem: Of the step.
@@ -198,25 +199,39 @@ def normal_correction(
     """
     count = len(points)
     goal = points + trial.predicted[:count]
-    field, at, basis = trial.field, trial.projection.points[:count], problem.space.basis
-    change = torch.zeros_like(trial.x)
+    field, at = trial.field, trial.projection.points[:count]
+    change = before = torch.zeros_like(trial.x)
     left, moved_by = float("inf"), float(weights @ trial.predicted[:count].square().sum(dim=1))
-    for _ in range(CORRECTIONS):
+    for number in range(CORRECTIONS + 1):
         gap = ((goal - at) * field.normal(at)).sum(dim=1)
         size = float(weights @ gap.square())
-        if not size < 0.25 * left or size < NEGLIGIBLE * moved_by:
+        if size > left:
+            return before
+        if number == CORRECTIONS or not size < 0.25 * left or size < NEGLIGIBLE * moved_by:
             break
-        left = size
-        if isinstance(trial.factorised.factor, VertexFactor):
-            step = trial.factorised.factor.fitted(gap)
-            moved = field.with_theta(field.theta + step)
-        else:
-            space = DeformationSpace(field, basis=basis)
-            step = assemble(StepProblem(space, [NormalTarget(at, gap, weights)])).solve().x
-            moved = field.with_theta(field.theta + space.split(step)[0])
+        left, before = size, change
+        step = _normal_step(problem, trial, field, at, gap, weights)
+        moved = field.with_theta(field.theta + problem.space.basis.change(step))
         arrived_at, arrived = newton_to_surface(moved, goal, reach=trial.reach)
         if not bool(arrived.all()):
             break
         field, at = moved, arrived_at
+        change = change.clone()
         change[: len(step)] += step
     return change
+
+
+def _normal_step(
+    problem: StepProblem,
+    trial: Trial,
+    field: Field,
+    at: Float[Tensor, "i d"],
+    gap: Float[Tensor, " i"],
+    weights: Float[Tensor, " i"],
+) -> Float[Tensor, " k"]:
+    """Return the unknowns of the normal part that move points of a field's surface along its normals by some gaps."""
+    factor = trial.factorised.factor
+    if isinstance(factor, VertexFactor):
+        return factor.fitted(gap)
+    space = DeformationSpace(field, basis=problem.space.basis)
+    return assemble(StepProblem(space, [NormalTarget(at, gap, weights)])).solve().x

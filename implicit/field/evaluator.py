@@ -143,8 +143,8 @@ def parametrised_by_code(
 class _InForm:
     """A function of theta and points that keeps the form in which they go in and values come out.
 
-    And itself in other precisions and on other devices, so that what is found of these (implicit.sensitivity.closed_form)
-    is found once.
+    And itself in other precisions and on other devices, so that what is found of these, such as their closed form, is
+    found once.
     """
 
     _form: Form

@@ -151,7 +151,7 @@ class MeshKilling:
         return sparse.csc_array(of_faces.tocsr() - weight / 3 * (joined.T @ joined))
 
     def _along(self, entries: list[FloatArray], axes: FloatArray) -> FloatArray:
-        """Return rows of the corners' displacements (m, 3 corners, 3) as ones of what these are along axes (m, r, 9)."""
+        """Return rows of the corners' displacements (m, 3 corners, 3) as ones of these along axes (m, r, 9)."""
         rows = np.stack(entries, axis=1)
         turned = np.matmul(rows[:, :, :, None], axes[self.surface.faces].transpose(0, 1, 3, 2)[:, None])
         return np.asarray(turned.reshape(*rows.shape[:2], 9))

@@ -6,7 +6,6 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from scipy.linalg import blas
-from scipy.linalg import blas
 from torch import Tensor
 
 
@@ -40,4 +39,3 @@ def times(lower: Float[Tensor, "n n"], x: Float[Tensor, " n"]) -> Float[Tensor, 
         return torch.from_numpy(product(1.0, lower.numpy().T, x.numpy(), lower=0))
     half = lower.tril()
     return half @ x + half.T @ x - lower.diagonal() * x
-

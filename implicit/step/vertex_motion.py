@@ -61,9 +61,10 @@ class VertexMotion(DeformationSpace):
             ValueError: One is no vertex.
         """
         distance, which = self._tree.query(points.detach().double().cpu().numpy())
-        if bool((distance > 0).any()):
+        apart = np.count_nonzero(distance)
+        if apart:
             raise ValueError(
-                f"The points of an energy must be vertices of the mesh, but {int((distance > 0).sum())} of "
+                f"The points of an energy must be vertices of the mesh, but {apart} of "
                 f"{len(points)} are not. Take some of its {len(self.points)} vertices."
             )
         return np.asarray(which, dtype=np.int64)
