@@ -26,6 +26,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from implicit.arguments import require_positive, require_whole
+from implicit.edits.connected_sample import FineMesh, connected
 from implicit.edits.finite_rigid import VERTICES, FiniteProblem, finite_rigid_edit, vertices_of
 from implicit.edits.handles import Handle
 from implicit.edits.rigid_method import Choice, Method, chosen, measured
@@ -39,18 +40,20 @@ from implicit.field.field import Field, require_field
 from implicit.sensitivity.moved_as_a_whole import moved_as_a_whole
 from implicit.sensitivity.pointwise_curvature import normal_turning
 from implicit.sensitivity.shape_functionals import Area, Functional, Volume
-from implicit.sensitivity.weak_curvature import WeakSurface
+from implicit.sensitivity.weak_curvature import IntArray, WeakSurface
 from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import Energy, Killing, VectorTarget
 from implicit.step.mesh_killing import MeshKilling
 from implicit.step.off_surface import off_surface
 from implicit.step.parameter_basis import spanned, spans_by_factors
+from implicit.step.point_rows import room_for_rows
 from implicit.step.problem import DampingRule, Row, StepProblem
 from implicit.step.rest_shape import Deformation, RestShape
 from implicit.step.tangential_basis import CosineFeatures, TangentialModel
+from implicit.step.vertex_motion import VertexMotion
 from implicit.surface.quadrature import SurfaceSample
 from implicit.surface.sampling import carrying_points, sample_surface
-from implicit.surface.soundness import field_soundness
+from implicit.surface.soundness import field_soundness, soundness_on_mesh
 
 # Damping of a step relative to the trace of its normal matrix. Ten times less lets ripples in, which cost strain as
 # soon as a motion is not small; ten times more holds the surface back. What is not linear in a step falls with the
@@ -59,6 +62,13 @@ from implicit.surface.soundness import field_soundness
 DAMPING = 1e-8
 SMALL = 0.004
 LEAST = 0.1
+
+# The same where the points are free along the surface, when only the parameters are damped, and the part of its motion
+# by which a step may miss its prediction then and else: it is corrected after it, in the first case by the factor of
+# the step itself.
+VERTEX_DAMPING = 2.5e-9
+VERTEX_LEAST = 1 / 3
+VERTEX_ERROR, ERROR = 0.2, 0.3
 
 # Of the energy off the surface beside the strain. It costs a small motion less than half a per cent of tangential
 # energy. Without it stray pieces stand round a bar twisted by 135 degrees.
@@ -88,6 +98,9 @@ VERTICES_OF_CELLS = 1.5
 
 # Cells along the longest side of the bounds of such a mesh: fewer lose the shape, more cost more than the points would.
 FEWEST_CELLS, MOST_CELLS = 24, 64
+
+# Points off the surface, beside those on it.
+OFF_SURFACE_POINTS = 500
 
 
 def rigid_edit(
@@ -206,11 +219,38 @@ def rigid_edit(
             coupled=_tangential_model(precise, tangential, seed) if choice.coupled else None,
         )
         return finite_rigid_edit(finite, field_soundness(field, resolution), choice.notes, began)
-    operation = prepare(precise, handles, settings, tangential, points)
-    before = field_soundness(field, resolution)
+    before, near_surface, faces = soundness_on_mesh(field, resolution)
+    mesh = FineMesh(near_surface, faces, before.topology) if tangential is None else None
+    operation = _operation(precise, handles, settings, tangential, points, mesh)
     edit = _by_linear_steps(precise, operation, constraints, resolution, tracked, progress)
     edit = replace(edit, field=edit.field.to(field.dtype), notes=(*choice.notes, *edit.notes))
     return with_evidence(edit, field, before, resolution)
+
+
+def _operation(
+    precise: Field,
+    handles: Sequence[Handle],
+    settings: RigidSettings,
+    tangential: TangentialModel | None,
+    points: int | SurfaceSample,
+    mesh: FineMesh | None,
+) -> RigidOperation:
+    """Return what the linear steps minimise: on a mesh of the points where these can be connected by a finer mesh.
+
+    Without bending such a mesh would crumple, and it knows no stretch across the surface; where second derivatives do
+    not tell how the surface bends, the energy is that of a mesh of its own.
+    """
+    count = points if isinstance(points, int) else len(points)
+    if settings.bending == 0 or settings.thickness > 0 or not room_for_rows(precise, count + OFF_SURFACE_POINTS):
+        mesh = None
+    spread = None
+    if mesh is not None and isinstance(points, int):
+        spread = mesh.spread(precise, points, settings.seed)
+    operation = prepare(precise, handles, settings, tangential, points if spread is None else spread[0])
+    cells = _mesh_cells(precise, operation.sample, settings)
+    if mesh is None or cells is not None:
+        return replace(operation, mesh_cells=cells)
+    return replace(operation, faces=connected(precise, operation.sample, mesh) if spread is None else spread[1])
 
 
 def _by_linear_steps(
@@ -224,7 +264,6 @@ def _by_linear_steps(
     """Return the edit by linear steps from the best rigid placement, in float64, without its evidence."""
     sample, settings = operation.sample, operation.settings
     target, whole = operation.targets.target(), operation.placement(1.0)
-    operation = replace(operation, mesh_cells=_mesh_cells(precise, sample, settings))
     if _can_be_placed(precise, whole, sample, constraints):
         start, operation = whole.field(precise), replace(operation, begin=whole)
     else:
@@ -421,6 +460,8 @@ class RigidOperation:
         begin: The rigid motion that took the field and the sample to where the loop begins; None is none.
         mesh_cells: Cells along the longest side of the bounds of the mesh on which E_K is taken; None takes it at the
             points of the sample.
+        faces: Triangles between the points of the sample (m, 3), on which E_K is then taken, and whose vertices move
+            freely along the surface; None spans that motion by `tangential`.
     """
 
     columns: ClassVar[tuple[str, ...]] = ()
@@ -431,6 +472,7 @@ class RigidOperation:
     tangential: TangentialModel
     begin: Placement | None = None
     mesh_cells: int | None = None
+    faces: IntArray | None = None
 
     def placement(self, fraction: float) -> Placement:
         """Return the rigid motion that takes the held points nearest to their targets after the fraction."""
@@ -445,6 +487,8 @@ class RigidOperation:
 
     def notes(self, field: Field) -> tuple[str, ...]:
         """Return what to know of the answer: whether the strain is seen at fewer places than could hide it."""
+        if self.faces is not None:
+            return self._few_points(field)
         combinations = _combinations(field)
         count = len(field.theta) if combinations is None else combinations
         unknowns = count + 3 * self.tangential.count
@@ -465,6 +509,20 @@ class RigidOperation:
             "points or more, or fewer waves.",
         )
 
+    def _few_points(self, field: Field) -> tuple[str, ...]:
+        """Return whether a mesh of the points has fewer strains than there are unknowns; of many, COMBINATIONS count.
+
+        Of three strains to a triangle, six to a vertex, two decide how that moves along the surface.
+        """
+        strains, unknowns = 4 * len(self.sample), min(len(field.theta), ALL_PARAMETERS)
+        if strains >= unknowns:
+            return ()
+        return (
+            f"The strain between {len(self.sample)} points leaves {strains} equations for {unknowns} parameters, so "
+            "that between the points the surface may be strained unseen. "
+            f"Take {-(-unknowns // 4)} points or more.",
+        )
+
     def step(self, state: State[None]) -> StepProblem:
         """Return the problem of this step."""
         held, settings = self.targets.prescribed, self.settings
@@ -474,26 +532,40 @@ class RigidOperation:
         )
         strain = self._strain(state)
         largest = float(target.norm(dim=1).max()) / (SMALL * state.field.size)
-        damping = DAMPING * min(max(largest, LEAST), 1.0)
+        most, least, error = (DAMPING, LEAST, ERROR)
+        if self.faces is not None:
+            most, least, error = (VERTEX_DAMPING, VERTEX_LEAST, VERTEX_ERROR)
+        damping = most * min(max(largest, least), 1.0)
         energies: list[Energy] = [strain, reach]
         here = SurfaceSample(state.points, state.field.normal(state.points), self.sample.weights)
         strength = settings.off_surface_strength
-        away = off_surface(state.field, here, strength=strength, seed=settings.seed + state.step)
+        away = off_surface(
+            state.field, here, strength=strength, points=OFF_SURFACE_POINTS, seed=settings.seed + state.step
+        )
         if strength > 0:
             energies.append(away)
-        count = _combinations(state.field)
-        basis = None if count is None else spanned(state.field, state.points, away.points, count)
         return StepProblem(
-            DeformationSpace(state.field, self.tangential, basis),
+            self._space(state.field, state.points, away.points),
             energies,
             # A large error will do, for the surface is brought to where the step sends it.
-            DampingRule(settings.damping, first=damping, least=damping, allowed_error=0.3),
+            DampingRule(settings.damping, first=damping, least=damping, allowed_error=error),
             correction_weights=self.sample.weights,
         )
+
+    def _space(self, field: Field, points: Tensor, away: Tensor) -> DeformationSpace:
+        """Return the displacements that a step chooses from, of a field at points on its surface and off it."""
+        if self.faces is not None:
+            return VertexMotion(field, points, self.faces)
+        count = _combinations(field)
+        basis = None if count is None else spanned(field, points, away, count)
+        return DeformationSpace(field, self.tangential, basis)
 
     def _strain(self, state: State[None]) -> Energy:
         """Return E_K of the current surface."""
         settings = self.settings
+        if self.faces is not None:
+            points = state.points.detach().double().cpu().numpy()
+            return MeshKilling(WeakSurface(points, self.faces), settings.bending)
         if self.mesh_cells is None:
             return Killing(state.points, self.sample.weights, settings.bending, settings.thickness)
         return MeshKilling(WeakSurface.extracted(state.field, self.mesh_cells), MESH_BENDING * settings.bending)

@@ -22,6 +22,7 @@ from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import NormalTarget
 from implicit.step.least_squares import Factorised, LeastSquares, Solution, SolveStatus
 from implicit.step.problem import Projection, StepProblem, assemble, predicted_displacement
+from implicit.step.vertex_equations import VertexFactor
 from implicit.surface.projection import newton_to_surface
 
 # Where Newton's method leaves points, relative to the field's size, with a margin.
@@ -29,6 +30,9 @@ PRECISION = {torch.float32: 4e-6, torch.float64: 4e-12}
 
 # Corrections after a step whose surface is to go just where the linear model sends it.
 CORRECTIONS = 4
+
+# Part of the motion, squared, below which what is left to correct costs no strain worth a correction.
+NEGLIGIBLE = 1e-6
 
 # Of a step's motion: what it leaves undone is no reason to let it miss its prediction by more than this.
 UNDONE = 0.2
@@ -184,7 +188,8 @@ def normal_correction(
 
     A step that minimises strain moves far along the surface, and where the normal turns on the way the surface misses
     by ripples that cost more strain than the whole motion. So the rest of the motion is made up by Newton's method:
-    normal motions, each a small least squares. It stops when a correction no longer halves what is left.
+    normal motions, each a small least squares, or with motion free at each vertex by the factor of the step again. It
+    stops when a correction no longer halves what is left, or that is negligible; one that makes it more is left out.
 
     Args:
         problem: Of the step.
@@ -194,21 +199,39 @@ def normal_correction(
     """
     count = len(points)
     goal = points + trial.predicted[:count]
-    field, at, basis = trial.field, trial.projection.points[:count], problem.space.basis
-    change = torch.zeros_like(trial.x)
-    left = float("inf")
-    for _ in range(CORRECTIONS):
+    field, at = trial.field, trial.projection.points[:count]
+    change = before = torch.zeros_like(trial.x)
+    left, moved_by = float("inf"), float(weights @ trial.predicted[:count].square().sum(dim=1))
+    for number in range(CORRECTIONS + 1):
         gap = ((goal - at) * field.normal(at)).sum(dim=1)
         size = float(weights @ gap.square())
-        if not size < 0.25 * left:
+        if size > left:
+            return before
+        if number == CORRECTIONS or not size < 0.25 * left or size < NEGLIGIBLE * moved_by:
             break
-        left = size
-        space = DeformationSpace(field, basis=basis)
-        step = assemble(StepProblem(space, [NormalTarget(at, gap, weights)])).solve()
-        moved = field.with_theta(field.theta + space.split(step.x)[0])
+        left, before = size, change
+        step = _normal_step(problem, trial, field, at, gap, weights)
+        moved = field.with_theta(field.theta + problem.space.basis.change(step))
         arrived_at, arrived = newton_to_surface(moved, goal, reach=trial.reach)
         if not bool(arrived.all()):
             break
         field, at = moved, arrived_at
-        change[: len(step.x)] += step.x
+        change = change.clone()
+        change[: len(step)] += step
     return change
+
+
+def _normal_step(
+    problem: StepProblem,
+    trial: Trial,
+    field: Field,
+    at: Float[Tensor, "i d"],
+    gap: Float[Tensor, " i"],
+    weights: Float[Tensor, " i"],
+) -> Float[Tensor, " k"]:
+    """Return the unknowns of the normal part that move points of a field's surface along its normals by some gaps."""
+    factor = trial.factorised.factor
+    if isinstance(factor, VertexFactor):
+        return factor.fitted(gap)
+    space = DeformationSpace(field, basis=problem.space.basis)
+    return assemble(StepProblem(space, [NormalTarget(at, gap, weights)])).solve().x

@@ -141,7 +141,11 @@ def parametrised_by_code(
 
 
 class _InForm:
-    """A function of theta and points that keeps the form in which they go in and values come out."""
+    """A function of theta and points that keeps the form in which they go in and values come out.
+
+    And itself in other precisions and on other devices, so that what is found of these, such as their closed form, is
+    found once.
+    """
 
     _form: Form
 
@@ -149,7 +153,20 @@ class _InForm:
         """Return the same function with points given and values taken in another way."""
         other = copy.copy(self)
         other._form = form
+        other.__dict__.pop("_others", None)
         return other
+
+    def to(self, dtype: torch.dtype | None, device: torch.device | str | None) -> Self:
+        """Return the same function in another precision or on another device."""
+        others: dict[tuple[torch.dtype | None, str | None], Self] = self.__dict__.setdefault("_others", {})
+        key = (dtype, None if device is None else str(device))
+        if key not in others:
+            others[key] = self._converted(dtype, device)
+        return others[key]
+
+    def _converted(self, dtype: torch.dtype | None, device: torch.device | str | None) -> Self:
+        """Return what `to` keeps."""
+        raise TypeError(f"A {type(self).__name__} has no other precision.")
 
     @property
     def form(self) -> Form:
@@ -193,7 +210,7 @@ class OfModule(_InForm):
                 named[block.name].copy_(theta[block.where].view(block.shape))
         return module
 
-    def to(self, dtype: torch.dtype | None, device: torch.device | str | None) -> OfModule:
+    def _converted(self, dtype: torch.dtype | None, device: torch.device | str | None) -> OfModule:
         frozen = Frozen(self.module, dtype, device)
         return OfModule(frozen, self._layout, _frozen_form(self._form, frozen))
 
@@ -219,7 +236,7 @@ class OfDecoder(_InForm):
         """Return the decoder, which holds nothing of the code."""
         return self.module
 
-    def to(self, dtype: torch.dtype | None, device: torch.device | str | None) -> OfDecoder:
+    def _converted(self, dtype: torch.dtype | None, device: torch.device | str | None) -> OfDecoder:
         frozen = Frozen(self._frozen.function, dtype, device)
         return OfDecoder(frozen, _frozen_form(self._form, frozen), is_module=self.module is not None)
 

@@ -112,6 +112,13 @@ class LeastSquares:
         self._equations.single_products = single_products
         self._trace: float | None = None  # once it is known, nothing can be added
 
+    @classmethod
+    def of(cls, equations: Equations) -> LeastSquares:
+        """Return the system of equations that are all known."""
+        system = cls(0, equations.like)
+        system.size, system._equations = equations.size, equations
+        return system
+
     def add(self, rows: Rows | SparseRows) -> None:
         """Add a block of weighted equations.
 
@@ -218,6 +225,11 @@ class Factorised:
         status: SolveStatus = SolveStatus.SOLVED,
     ) -> None:
         self._equations, self._factor, self._ridge, self._status = equations, factor, ridge, status
+
+    @property
+    def factor(self) -> Factor:
+        """H^-1, in the form in which it is held."""
+        return self._factor
 
     @property
     def right(self) -> Float[Tensor, " n"]:

@@ -60,13 +60,10 @@ class MeshKilling:
         """Tangents e, f and normal n of each face as rows (m, 3, 3)."""
         return np.concatenate([self.surface.tangents, self.surface.cell_normals[:, None]], axis=1)
 
-    def _of_slopes(self, factors: FloatArray) -> FloatArray:
-        """Return what numbers c_aj of a_a . J t_j, summed, take of each corner's displacement (m, 3 corners, 3).
-
-        Args:
-            factors: For each frame vector a and tangent j (3, 2) or of each face (m, 3, 2).
-        """
-        return np.asarray(np.einsum("maj,maX,mjk->mkX", factors, self._frames, self.surface.hat_slopes))
+    @cached_property
+    def _by_tangents(self) -> FloatArray:
+        """Slopes along e and f of the function that is 1 at a corner (m, 3 corners, 2)."""
+        return self.surface.hat_slopes.transpose(0, 2, 1)
 
     def _face_matrix(self, rows: FloatArray) -> sparse.csr_array:
         """Return rows (m, r, 3 corners, 3 coordinates) as a matrix over all displacements."""
@@ -78,22 +75,86 @@ class MeshKilling:
     @cached_property
     def strains(self) -> sparse.csr_array:
         """Rows whose squares add up to the membrane energy (3 m, 3 V)."""
-        m = len(self.surface.faces)
+        return self._face_matrix(np.stack(self._strain_entries(), axis=1))
+
+    def _strain_entries(self) -> list[FloatArray]:
+        """Rows of the corners' displacements (m, 3 corners, 3) whose squares add up to the membrane energy."""
         root = np.sqrt(self.surface.contents)[:, None, None]
-        entries = []
-        for factors in ([[2, 0], [0, 0], [0, 0]], [[0, 0], [0, 2], [0, 0]], [[0, 2**0.5], [2**0.5, 0], [0, 0]]):
-            entries.append(root * self._of_slopes(np.broadcast_to(np.array(factors, dtype=float), (m, 3, 2))))
-        return self._face_matrix(np.stack(entries, axis=1))
+        along_e, along_f = (self._by_tangents[:, :, None, j] for j in range(2))
+        e, f, _ = (self._frames[:, None, a] for a in range(3))
+        shear = along_f * e + along_e * f
+        return [2 * root * along_e * e, 2 * root * along_f * f, 2**0.5 * root * shear]
+
+    def _rotation_entries(self) -> list[FloatArray]:
+        """Rows of the corners' displacements (m, 3 corners, 3) that give the best rotation of each face along x, y, z.
+
+        See the top of the file.
+        """
+        along_e, along_f = (self._by_tangents[:, :, None, j] for j in range(2))
+        e, f, n = (self._frames[:, None, a] for a in range(3))
+        about_e, about_f, about_n = along_f * n, -along_e * n, (along_e * f - along_f * e) / 2
+        frames = self._frames
+        return [
+            frames[:, 0, None, None, x] * about_e
+            + frames[:, 1, None, None, x] * about_f
+            + frames[:, 2, None, None, x] * about_n
+            for x in range(3)
+        ]
 
     @cached_property
     def rotations(self) -> sparse.csr_array:
         """Rows that give the best rotation w_f of each face (3 m, 3 V)."""
-        m = len(self.surface.faces)
-        frame = []
-        # Along e, f and n; see the top of the file.
-        for factors in ([[0, 0], [0, 0], [0, 1]], [[0, 0], [0, 0], [-1, 0]], [[0, -0.5], [0.5, 0], [0, 0]]):
-            frame.append(self._of_slopes(np.broadcast_to(np.array(factors, dtype=float), (m, 3, 2))))
-        return self._face_matrix(np.einsum("makX,maw->mwkX", np.stack(frame, axis=1), self._frames))
+        return self._face_matrix(np.stack(self._rotation_entries(), axis=1))
+
+    @cached_property
+    def _metrics(self) -> FloatArray:
+        """A H of each face (m, 3, 3)."""
+        n, area = self.surface.cell_normals, self.surface.contents[:, None, None]
+        return np.asarray(area * (np.eye(3) + n[:, :, None] * n[:, None, :]))
+
+    @cached_property
+    def _moments(self) -> FloatArray:
+        """Sum of A H over the faces at each vertex (V, 3, 3)."""
+        F, V = self.surface.faces, len(self.surface.vertices)
+        entries = self._metrics.reshape(len(F), 9).T
+        sums = np.stack([np.bincount(F.ravel(), np.repeat(entry, 3), V) for entry in entries], axis=1)
+        return sums.astype(np.float64).reshape(V, 3, 3)
+
+    def matrix(self, axes: FloatArray) -> sparse.csc_array:
+        """Return Q with d . Q d = E(d), over what the displacement of each vertex is along three axes (3 V, 3 V).
+
+        With S = sum A H w_f at a vertex and M = sum A H, its corners bend by sum A w_f . H w_f - S . M^-1 S, so that
+        faces are joined at their own corners and vertices with their neighbours alone.
+
+        Args:
+            axes: Rows: orthonormal vectors at each vertex (V, 3, 3).
+        """
+        F, V = self.surface.faces, len(self.surface.vertices)
+        m, k = len(F), np.arange(3)
+        strains = self._along(self._strain_entries(), axes)
+        turned = self._along(self._rotation_entries(), axes)
+        weighed = self._metrics @ turned
+        weight = 4 * self.bending
+        local = strains.transpose(0, 2, 1) @ strains + weight * (turned.transpose(0, 2, 1) @ weighed)
+        places = (3 * F[:, :, None] + k).reshape(m, 9)
+        of_faces = sparse.coo_array(
+            (local.ravel(), (np.repeat(places, 9, axis=1).ravel(), np.tile(places, (1, 9)).ravel())),
+            shape=(3 * V, 3 * V),
+        )
+        if self.bending == 0:
+            return of_faces.tocsc()
+        halves = np.linalg.inv(np.linalg.cholesky(self._moments))[F]  # of M^-1, at each corner
+        sums = (halves @ weighed[:, None]).ravel()  # corner, entry, unknown
+        rows = np.broadcast_to((3 * F[:, :, None] + k)[..., None], (m, 3, 3, 9)).ravel()
+        columns = np.broadcast_to(places[:, None, None], (m, 3, 3, 9)).ravel()
+        joined = sparse.coo_array((sums, (rows, columns)), shape=(3 * V, 3 * V)).tocsr()
+        return sparse.csc_array(of_faces.tocsr() - weight / 3 * (joined.T @ joined))
+
+    def _along(self, entries: list[FloatArray], axes: FloatArray) -> FloatArray:
+        """Return rows of the corners' displacements (m, 3 corners, 3) as ones of these along axes (m, r, 9)."""
+        rows = np.stack(entries, axis=1)
+        turned = np.matmul(rows[:, :, :, None], axes[self.surface.faces].transpose(0, 1, 3, 2)[:, None])
+        return np.asarray(turned.reshape(*rows.shape[:2], 9))
 
     @cached_property
     def turns(self) -> sparse.csr_array:
@@ -101,11 +162,9 @@ class MeshKilling:
         F, V = self.surface.faces, len(self.surface.vertices)
         m, n, area = len(F), self.surface.cell_normals, self.surface.contents[:, None, None]
         along = n[:, :, None] * n[:, None, :]
-        metric = area * (np.eye(3) + along)
-        moments = np.stack([np.bincount(F.ravel(), np.repeat(entry, 3), V) for entry in metric.reshape(m, 9).T], axis=1)
-        inverse = np.linalg.inv(moments.reshape(V, 3, 3))
+        inverse = np.linalg.inv(self._moments)
         corner_face = np.repeat(np.arange(m), 3)
-        weights = np.einsum("cab,cbd->cad", inverse[F.ravel()], metric[corner_face])
+        weights = np.einsum("cab,cbd->cad", inverse[F.ravel()], self._metrics[corner_face])
         means = _blocks(weights, F.ravel(), corner_face, (V, m))  # w_v of all w_f
         root = np.sqrt(4 / 3 * area) * (np.eye(3) + (2**0.5 - 1) * along)
         of_face = _blocks(root[corner_face], np.arange(3 * m), corner_face, (3 * m, m))

@@ -16,6 +16,8 @@ from implicit.sensitivity.sparse_rows import has_sparse_rows
 from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import Energy, FieldTarget, NormalTarget, united
 from implicit.step.least_squares import DENSE_LIMIT, LeastSquares
+from implicit.step.vertex_equations import vertex_equations
+from implicit.step.vertex_motion import VertexMotion
 from implicit.surface.projection import newton_to_surface
 
 Row = dict[str, Any]
@@ -116,6 +118,8 @@ def assemble(problem: StepProblem) -> LeastSquares:
         ValueError: There are too many unknowns for rows, and an energy that has no products.
     """
     space, energies = problem.space, problem.energies
+    if isinstance(space, VertexMotion):
+        return LeastSquares.of(vertex_equations(space, energies))
     if _is_sparse(problem):
         system = LeastSquares(space.size, space.field.theta, tolerance=1e-6, sparse=True)
         for target in united(space.field, _targets(problem)):

@@ -20,11 +20,11 @@ import torch
 from jaxtyping import Float, Int
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse import csgraph
 from scipy.spatial import cKDTree
 from torch import Tensor
 
 from implicit.field.field import Field
+from implicit.surface.dual_mesh import NORMALS, dual_triangles, in_one_piece, is_closed, vertex_normals
 from implicit.surface.extraction import marched_surface
 from implicit.surface.projection import newton_to_surface
 from implicit.surface.topology import mesh_topology
@@ -35,7 +35,6 @@ IntArray = NDArray[np.int64]
 # Vertices of the finer mesh in a cluster, and sweeps of Lloyd's method.
 FINER = 8
 SWEEPS = 8
-NORMALS = 0.5
 
 # Sweeps of the relaxation that rounds the triangles at the end, and of the one of a marched mesh; in each a vertex goes
 # this share of the way to the mean of its neighbours.
@@ -78,12 +77,8 @@ def _marched(field: Field, count: int, points: Tensor, faces: Tensor) -> tuple[T
 
 def _clustered(V: FloatArray, F: IntArray, count: int) -> tuple[FloatArray, IntArray] | None:
     """Return the centres of clusters and the triangles between them; None where they make no mesh of the same type."""
-    across = np.cross(V[F[:, 1]] - V[F[:, 0]], V[F[:, 2]] - V[F[:, 0]]) / 2
-    areas = np.linalg.norm(across, axis=1)
-    masses = np.bincount(F.ravel(), np.repeat(areas, 3), len(V)) / 3 + 1e-9 * areas.mean()
-    sums = [np.bincount(F.ravel(), np.repeat(part, 3), len(V)) for part in across.T]
-    normals = np.stack(sums, axis=1).astype(np.float64)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    areas, masses, normals = vertex_normals(V, F)
+    masses = masses + 1e-9 * areas.mean()
     spacing = (areas.sum() / count) ** 0.5
     places = np.concatenate([V, NORMALS * spacing * normals], axis=1)
     centres = places[_even_start(V, masses, count)]
@@ -94,12 +89,11 @@ def _clustered(V: FloatArray, F: IntArray, count: int) -> tuple[FloatArray, IntA
         sums = [np.bincount(cluster, masses * column, count) for column in places.T]
         full = weights > 0
         centres[full] = np.stack(sums, axis=1)[full] / weights[full, None]
-    cluster = _connected(np.asarray(cKDTree(centres).query(places)[1], dtype=np.int64), F)
-    corners = cluster[F]
-    triangles = corners[(corners != np.roll(corners, 1, axis=1)).all(axis=1)]
+    cluster = in_one_piece(np.asarray(cKDTree(centres).query(places)[1], dtype=np.int64), F)
+    triangles = dual_triangles(cluster, F)
     used, renamed = np.unique(triangles, return_inverse=True)
     triangles = renamed.reshape(-1, 3).astype(np.int64)
-    if not _is_closed(triangles):
+    if not is_closed(triangles):
         return None
     found = centres[used, :3]
     return (found, triangles) if mesh_topology(found, triangles).same_type(mesh_topology(V, F)) else None
@@ -117,38 +111,6 @@ def _even_start(V: FloatArray, masses: FloatArray, count: int) -> IntArray:
     until = np.cumsum(masses[order])
     middles = (np.arange(count) + 0.5) / count * until[-1]
     return np.asarray(np.unique(order[np.searchsorted(until, middles)]))
-
-
-def _connected(cluster: IntArray, F: IntArray) -> IntArray:
-    """Return clusters in one piece each: what is apart from the largest piece goes to a neighbour's."""
-    ends = np.concatenate([F[:, [0, 1]], F[:, [1, 2]], F[:, [2, 0]]])
-    ends = np.concatenate([ends, ends[:, ::-1]])
-    cluster = cluster.copy()
-    for _ in range(8):
-        inner = ends[cluster[ends[:, 0]] == cluster[ends[:, 1]]]
-        links = sparse.coo_array(
-            (np.ones(len(inner), dtype=np.int8), (inner[:, 0], inner[:, 1])), shape=(len(cluster),) * 2
-        )
-        piece = csgraph.connected_components(links, directed=False)[1]
-        sizes = np.bincount(piece)
-        of_piece = np.zeros(len(sizes), dtype=np.int64)
-        of_piece[piece] = cluster
-        largest = np.zeros(cluster.max() + 1, dtype=np.int64)
-        np.maximum.at(largest, of_piece, sizes)
-        stray = sizes[piece] < largest[cluster]
-        if not stray.any():
-            break
-        across = ends[stray[ends[:, 0]] & ~stray[ends[:, 1]]]
-        cluster[across[:, 0]] = cluster[across[:, 1]]
-    return cluster
-
-
-def _is_closed(F: IntArray) -> bool:
-    """Return whether each half edge has just one opposite to it."""
-    ends = np.concatenate([F[:, [0, 1]], F[:, [1, 2]], F[:, [2, 0]]])
-    count = F.max() + 1 if len(F) else 1
-    forth, back = ends[:, 0] * count + ends[:, 1], ends[:, 1] * count + ends[:, 0]
-    return len(F) > 0 and len(np.unique(forth)) == len(forth) and bool(np.isin(forth, back).all())
 
 
 def _relaxed(

@@ -20,12 +20,16 @@ class Cholesky:
 
     @classmethod
     def of(cls, matrix: Float[Tensor, "n n"]) -> Cholesky | None:
-        """Factor the lower triangle of a float64 matrix, which is used up; None if it is not positive definite."""
+        """Factor the lower triangle of a matrix, which is used up; None if it is not positive definite.
+
+        In its own precision, double or single.
+        """
         if len(matrix) == 0 or matrix.device.type != "cpu":
             factor, info = torch.linalg.cholesky_ex(matrix)
             return cls(factor) if int(info) == 0 else None
         # The transpose is a Fortran-ordered view; the upper triangle there is the lower one here.
-        result, info = lapack.dpotrf(matrix.numpy().T, lower=0, clean=0, overwrite_a=1)
+        factored = lapack.dpotrf if matrix.dtype == torch.float64 else lapack.spotrf
+        result, info = factored(matrix.numpy().T, lower=0, clean=0, overwrite_a=1)
         return cls(torch.from_numpy(result.T)) if info == 0 else None
 
     def __len__(self) -> int:
@@ -40,11 +44,13 @@ class Cholesky:
         return self._factor.device
 
     def solve(self, right: Float[Tensor, "n m"]) -> Float[Tensor, "n m"]:
-        """Return the inverse of the matrix times the columns."""
+        """Return the inverse of the matrix times the columns, in their precision."""
+        mine = right.to(self._factor.dtype)
         if len(self) == 0 or self.device.type != "cpu":
-            return torch.cholesky_solve(right, self._factor)
-        solution, _ = lapack.dpotrs(self._factor.numpy().T, right.numpy(), lower=0)
-        return torch.from_numpy(solution)
+            return torch.cholesky_solve(mine, self._factor).to(right.dtype)
+        solved = lapack.dpotrs if mine.dtype == torch.float64 else lapack.spotrs
+        solution, _ = solved(self._factor.numpy().T, mine.numpy(), lower=0)
+        return torch.from_numpy(solution).to(right.dtype)
 
     def condition(self) -> float:
         """Estimate the condition of the matrix, from below; 1 without unknowns."""
