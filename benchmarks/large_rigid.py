@@ -215,7 +215,7 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=WIDTH, help="of the networks that are fitted first")
     parser.add_argument("--volume", action="store_true", help="hold the volume")
     parser.add_argument("--area", action="store_true", help="hold the area")
-    parser.add_argument("--method", choices=["auto", "finite", "linear", "coupled"], default="auto")
+    parser.add_argument("--method", choices=["auto", "finite", "warp", "linear", "coupled"], default="auto")
     given = parser.parse_args()
     CACHE.mkdir(exist_ok=True)
     held = [make() for make, asked in ((implicit.Volume, given.volume), (implicit.Area, given.area)) if asked]

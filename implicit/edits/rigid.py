@@ -119,9 +119,11 @@ def rigid_edit(
         handles: Regions with their motions, anchors among them as zero vectors. Weights scale the penalty.
         method: "linear" takes steps that are linear, by a Killing energy; "finite" minimises the energy of finite
             rotations against the rest shape and lets the field follow (implicit.edits.finite_rigid), for motions of
-            any size; "coupled" minimises that energy over the parameters and the coefficients of `tangential` together,
+            any size; "warp" minimises the same energy, but leaves the parameters of the field as they are and warps
+            its space (implicit.models.warp): the edited field's module is another one, with the given one within, and
+            keeps its surface where it moves rigidly, however rough that is; "coupled" minimises that energy over the parameters and the coefficients of `tangential` together,
             step by step (implicit.edits.coupled_rigid), for fields of up to 4000 parameters; "auto" chooses between the
-            first two by how much of the motion is left to be bent and turned, says so in `notes`, and takes linear
+            linear and finite ones by how much of the motion is left to be bent and turned, says so in `notes`, and takes linear
             steps where an option is set that these alone have.
         steps: Sub-steps of the linear way; handles with a RigidMotion rotate along their path. Take one per 15 degrees
             or so. Finite rotations take as many stages as the path needs, but no fewer.
@@ -177,6 +179,8 @@ def rigid_edit(
     planar = precise.dimension == 2
     if planar or start is not None:
         method = _finite_alone(method, "a field in 2 dimensions" if planar else "a shape at rest of before")
+    if start is not None and method == "finite" and len(start.field.theta) != len(field.theta):
+        method = "warp"  # of the field at rest, in place of the warp that is there
     handles, points = checked_handles(handles), _checked_points(precise, points)
     choice = _choice(method, precise, handles, points, settings, tangential)
     if choice.coupled and len(precise.theta) > ALL_PARAMETERS:
@@ -204,6 +208,7 @@ def rigid_edit(
             seed=seed,
             start=start,
             coupled=_tangential_model(precise, tangential, seed) if choice.coupled else None,
+            warp=choice.warp,
         )
         return finite_rigid_edit(finite, field_soundness(field, resolution), choice.notes, began)
     operation = prepare(precise, handles, settings, tangential, points)
