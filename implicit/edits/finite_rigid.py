@@ -513,7 +513,7 @@ def _followed(problem: FiniteProblem, follower: Follower, rest: Topology, tell: 
 def _warped(
     problem: FiniteProblem, start: Deformation, minimum: Minimum, follower: Follower, rest: Topology
 ) -> tuple[_Found, Following]:
-    """Return the field at rest in warped space, of the width that leaves least strain, with as many pieces if it can."""
+    """Return the field at rest in warped space, of the width that leaves least strain in as many pieces as before."""
     found = None
     least = float("inf")
     there = start.map_from_rest(minimum)

@@ -120,10 +120,11 @@ def rigid_edit(
         method: "linear" takes steps that are linear, by a Killing energy; "finite" minimises the energy of finite
             rotations against the rest shape and lets the field follow (implicit.edits.finite_rigid), for motions of
             any size; "warp" minimises the same energy, but leaves the parameters of the field as they are and warps
-            its space (implicit.models.warp): the edited field's module is another one, with the given one within, and
-            keeps its surface where it moves rigidly, however rough that is; "coupled" minimises that energy over the parameters and the coefficients of `tangential` together,
-            step by step (implicit.edits.coupled_rigid), for fields of up to 4000 parameters; "auto" chooses between the
-            linear and finite ones by how much of the motion is left to be bent and turned, says so in `notes`, and takes linear
+            its space: the edited field's module is an implicit.models.warp.Warp round the given one, whose surface
+            stays what it is where it moves rigidly, however little the network can express; "coupled" minimises that
+            energy over the parameters and the coefficients of `tangential` together, step by step
+            (implicit.edits.coupled_rigid), for fields of up to 4000 parameters; "auto" chooses between "linear" and
+            "finite" by how much of the motion is left to be bent and turned, says so in `notes`, and takes linear
             steps where an option is set that these alone have.
         steps: Sub-steps of the linear way; handles with a RigidMotion rotate along their path. Take one per 15 degrees
             or so. Finite rotations take as many stages as the path needs, but no fewer.
@@ -177,10 +178,10 @@ def rigid_edit(
     )
     start = None if rest is None else _deformation(field, rest)
     planar = precise.dimension == 2
-    if planar or start is not None:
+    if start is not None and len(start.field.theta) != len(field.theta):
+        method = _warp_again(method)
+    elif planar or start is not None:
         method = _finite_alone(method, "a field in 2 dimensions" if planar else "a shape at rest of before")
-    if start is not None and method == "finite" and len(start.field.theta) != len(field.theta):
-        method = "warp"  # of the field at rest, in place of the warp that is there
     handles, points = checked_handles(handles), _checked_points(precise, points)
     choice = _choice(method, precise, handles, points, settings, tangential)
     if choice.coupled and len(precise.theta) > ALL_PARAMETERS:
@@ -259,11 +260,21 @@ def _finite_alone(method: Method, what: str) -> Method:
     """Return the way of an edit that finite rotations alone can make, or refuse another."""
     if method in ("linear", "coupled"):
         raise ValueError(
-            f'method must be "auto" or "finite" for {what}, but is "{method}": linear steps strain the surface as it '
-            "is, along itself and as it bends in space, and coupled ones move its own points alone. Finite rotations "
-            "deform the inside of a curve, and know a shape at rest."
+            f'method must be "auto", "finite" or "warp" for {what}, but is "{method}": linear steps strain the surface '
+            "as it is, along itself and as it bends in space, and coupled ones move its own points alone. Finite "
+            "rotations deform the inside of a curve, and know a shape at rest."
         )
     return "finite" if method == "auto" else method
+
+
+def _warp_again(method: Method) -> Method:
+    """Return the way of an edit whose field at rest was warped before: by another warp in place of that one."""
+    if method not in ("auto", "warp"):
+        raise ValueError(
+            f'method must be "auto" or "warp" for a shape at rest whose space was warped before, but is "{method}", '
+            "which changes parameters: those of the field at rest are without the warp. Leave method or rest out."
+        )
+    return "warp"
 
 
 def _deformation(field: Field, rest: Edit) -> Deformation:

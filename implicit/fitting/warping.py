@@ -29,8 +29,8 @@ from implicit.models.warp import Warp
 from implicit.sensitivity.weak_curvature import FloatArray, IntArray
 from implicit.step.surface_map import SurfaceMap
 
-# Most centres, those that are set first, and those that are set at a time where the surface is taken back worst.
-MOST, FIRST, AT_A_TIME = 256, 16, 16
+# Most centres, and vertices for each; those that are set first, and at a time where the surface is taken back worst.
+MOST, EVERY, FIRST, AT_A_TIME = 256, 10, 16, 16
 
 # Error of a vertex, over the size of the surface, below which it needs no centre of its own, and the part of the
 # largest error that is worth one.
@@ -135,9 +135,10 @@ class Back:
         """Return the vertices that a further centre is worth, the worst first and apart from each other."""
         y, least = self._moved, max(ENOUGH, WORTH * float(errors.max()))
         free = cKDTree(y[chosen]).query(y)[0] > NEAREST * self._spacing
+        most = max(FIRST, min(MOST, len(y) // EVERY))
         more: list[int] = []
         for v in np.argsort(-errors):
-            if errors[v] < least or len(more) == AT_A_TIME or len(chosen) + len(more) == MOST:
+            if errors[v] < least or len(more) == AT_A_TIME or len(chosen) + len(more) >= most:
                 break
             far = np.linalg.norm(y[more] - y[v], axis=1) > APART * self.width * self._spacing
             if free[v] and bool(far.all()):

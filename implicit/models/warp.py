@@ -1,12 +1,13 @@
 """A module whose space is warped: where its surface was, without touching its own parameters.
 
-    f(x) = g(phi(x)),      phi(x) = sum_k w_k(x) (q_k + A_k (x - c_k)),      w_k ~ (1 + |x - c_k|^2 / (2 m s^2))^-m
+    f(x) = g(phi(x)),      phi(x) = sum_k w_k(x) (q_k + A_k (x - c_k)),      w_k ~ (1 + |x - c_k|^2 / (8 s^2))^-4
 
 phi takes a place of the moved shape to where it came from: an affine map about each centre c_k, blended by weights that
 are a partition of unity. Where the maps about a place are one and the same phi is that map, and exactly so: what moves
 rigidly keeps the surface of g in all its detail, whatever g can express. Near the centres the weights fall like
 Gaussians of width s; far from them they spread with the distance, so that the space between two parts goes over from
-one to the other smoothly. What is warped out of the bounds of g counts as on their border, for beyond them g says nothing.
+one to the other smoothly. What is warped out of the bounds of g counts as on their border, for beyond them g says
+nothing.
 """
 
 from __future__ import annotations
@@ -31,7 +32,6 @@ class Warp(nn.Module):
         count: Centres K.
         dimension: D, 2 or 3.
         width: s, a length.
-        power: m.
         form: How the other module takes points and where its values are; None takes points (N, D).
 
     Attributes:
@@ -52,16 +52,14 @@ class Warp(nn.Module):
         dimension: int = 3,
         *,
         width: float,
-        power: float = 5.0,
         form: Form | None = None,
     ) -> None:
         super().__init__()
         require_whole("count", count)
         require_whole("dimension", dimension, 2, "", 3)
         require_positive("width", width)
-        require_positive("power", power)
         self.base = base
-        self.width, self.power = float(width), float(power)
+        self.width = float(width)
         self._form = Form() if form is None else form
         still = torch.cat([torch.eye(dimension), torch.zeros(1, dimension)])
         self.maps = nn.Parameter(still.expand(count, -1, -1).clone())
@@ -72,9 +70,10 @@ class Warp(nn.Module):
         """Return the share of each centre at the points."""
         c = self.centres
         apart = (points**2).sum(dim=1, keepdim=True) - 2 * points @ c.T + (c**2).sum(dim=1)
-        grown = 1 + apart.clamp(min=0) / (2 * self.power * self.width**2)
-        near = grown / grown.amin(dim=1, keepdim=True).detach()  # so that no power vanishes
-        return nn.functional.normalize(near**-self.power, p=1, dim=1)
+        grown = 1 + apart.clamp(min=0) / (8 * self.width**2)
+        # Over that of the nearest, so that no power vanishes; squared twice, for a power costs ten times as much.
+        near = (grown.amin(dim=1, keepdim=True).detach() / grown).square().square()
+        return near / near.sum(dim=1, keepdim=True)
 
     def warped(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
         """Return phi, where the points came from."""
@@ -101,7 +100,7 @@ class Warp(nn.Module):
         if not hasattr(self.base, "describe"):
             raise TypeError(f"The {type(self.base).__name__} within a Warp does not say how it was made.")
         count, _, D = self.maps.shape
-        own = {"base": self.base.describe(), "count": count, "dimension": D, "width": self.width, "power": self.power}
+        own = {"base": self.base.describe(), "count": count, "dimension": D, "width": self.width}
         return {"name": "warp", "arguments": own}
 
 
