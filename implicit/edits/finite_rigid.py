@@ -200,13 +200,15 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
         edited, following = _warped(problem, start, minimum, follower, before.topology)
     else:
         edited, following = _followed(problem, follower, before.topology, tell)
+    # Its samples were made while points that cross were sought for.
+    following = replace(following, seconds=time.perf_counter() - began - seconds_points)
     row = _row(problem, edited.field, surface_map, minimum, following, seconds_points)
     end = _polished(problem, edited, surface_map, start.rest.laplacian, before.topology, row)
     if problem.warp:
         end = replace(end, field=all_parameters(end.field, start.field))
     following = _at_the_end(following, end.field, surface_map)
     own += _following_notes(problem.field, following)
-    edit = _edit(problem, surface_map, end, began)
+    edit = _with_stages(_edit(problem, surface_map, end, began), problem, way.points)
     reached = reached_target(edit, _way(problem.targets)) and following.miss_rms <= FOLLOWED * problem.field.size
     reached = reached and following.status is not FitStatus.DIVERGED
     edit = replace(
@@ -228,16 +230,36 @@ def vertices_of(field: Field, start: Deformation) -> SurfaceSample:
 
 
 @dataclass(frozen=True, eq=False)
+class _Stage:
+    """End of a stage of the points' way.
+
+    Attributes:
+        positions: Of all vertices of the energy of the shape at rest (V, 3).
+        energy: A squared length.
+        seconds: Wall time of the stage.
+    """
+
+    positions: FloatArray
+    energy: float
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
 class _Points:
     """Points of least energy.
 
     Attributes:
         minimum: The deformation.
-        highest: Energy at the end of a stage of their way, 0 where there was but one.
+        stages: What came before it, a stage each but the last.
     """
 
     minimum: Minimum
-    highest: float
+    stages: tuple[_Stage, ...]
+
+    @property
+    def highest(self) -> float:
+        """Energy at the end of a stage of their way, 0 where there was but one."""
+        return max((stage.energy for stage in self.stages), default=0.0)
 
     @property
     def unwound(self) -> bool:
@@ -325,7 +347,15 @@ def _points(
     solver = LocalGlobal(energy, hold, volume_of)
 
     def found(volume: float | None) -> _Points:
-        heights: list[float] = [0.0]
+        way: list[_Stage] = []
+        clock = time.perf_counter()
+
+        def passed(positions: FloatArray) -> None:
+            nonlocal clock
+            now, own = time.perf_counter(), positions[: len(start.positions)].copy()
+            way.append(_Stage(own, energy.energy(positions), now - clock))
+            clock = now
+
         minimum = solver.minimum(
             lambda fraction: everywhere(targets.positions(fraction).cpu().numpy()),
             positions,
@@ -334,15 +364,15 @@ def _points(
             tolerance=TOLERANCE,
             volume=volume,
             report=tell.points,
-            passed=lambda passed: heights.append(energy.energy(passed)),
+            passed=passed,
         )
         whole = minimum.energy
         if firmness > 0:  # what the inside has held apart is the surface's alone again
             B = len(start.positions)
             u, R = minimum.positions[:B], minimum.rotations[:B]
             minimum = replace(minimum, positions=u, rotations=R, energy=rest.energy.energy(u, R))
-            heights = [height * minimum.energy / whole for height in heights] if whole > 0 else heights
-        return _Points(minimum, max(heights))
+            way = [replace(stage, energy=stage.energy * minimum.energy / whole) for stage in way] if whole > 0 else way
+        return _Points(minimum, tuple(way))
 
     if held is None or bound == "equal":
         return found(held)
@@ -661,6 +691,30 @@ def _edit(problem: FiniteProblem, surface_map: SurfaceMap, end: _End, began: flo
         status=end.status,
         seconds=time.perf_counter() - began,
     )
+
+
+def _with_stages(edit: Edit, problem: FiniteProblem, points: _Points) -> Edit:
+    """Return the edit with a row, and where the tracked points were, for each stage of the points' way."""
+    if not points.stages:
+        return edit
+    start, nan = problem.start, float("nan")
+    track = None if problem.track is None else problem.track.double().cpu().numpy()
+    foot = None if track is None else start.map_to(points.minimum).foot(track)
+    rows: list[Row] = []
+    trail: list[Tensor] = []
+    for stage in points.stages:
+        turned = start.rest.energy.rotations(stage.positions)
+        here = Minimum(stage.positions, turned, stage.energy, 0, nan, nan, MinimumStatus.ITERATIONS_SPENT)
+        there = start.map_to(here)
+        row = _row(problem, problem.precise, there, here, None, stage.seconds)
+        rows.append({**row, "method": f"{row['method']}, on the way"})
+        if foot is not None:
+            trail.append(torch.from_numpy(there.at(foot)).to(problem.track))
+    first, *others = edit.history
+    spent = sum(stage.seconds for stage in points.stages)
+    last = {key: first[key] - spent for key in ("seconds", "seconds_points", "seconds_solve")}
+    rows = [{**row, "step": number} for number, row in enumerate((*rows, {**first, **last}, *others), 1)]
+    return replace(edit, history=rows, trail=(*trail, *edit.trail))
 
 
 def _untouched(problem: FiniteProblem, status: EditStatus, began: float) -> Edit:

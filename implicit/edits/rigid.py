@@ -36,6 +36,7 @@ from implicit.evolve.edit import Edit, EditStatus, Progress, require_options, wi
 from implicit.evolve.evolve import evolve
 from implicit.evolve.operation import Outcome, State, Taken
 from implicit.field.field import Field, require_field
+from implicit.models.warp import Warp
 from implicit.sensitivity.moved_as_a_whole import moved_as_a_whole
 from implicit.sensitivity.pointwise_curvature import normal_turning
 from implicit.sensitivity.shape_functionals import Area, Functional, Volume
@@ -178,7 +179,7 @@ def rigid_edit(
     )
     start = None if rest is None else _deformation(field, rest)
     planar = precise.dimension == 2
-    if start is not None and len(start.field.theta) != len(field.theta):
+    if start is not None and isinstance(field.module, Warp) and len(start.field.theta) != len(field.theta):
         method = _warp_again(method)
     elif planar or start is not None:
         method = _finite_alone(method, "a field in 2 dimensions" if planar else "a shape at rest of before")
