@@ -10,7 +10,7 @@ import argparse
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import gettempdir
 from typing import Any
@@ -154,12 +154,14 @@ def twist(meshes: Meshes, degrees: float = 135.0, sides: tuple[float, ...] = BAR
     case = Case(str(path), "smooth", parameters={"fit": {"activation": "softplus", "width": meshes.width}})
     subject = prepare_subject(case, folder=CACHE)
     case = Case(str(path), "rigid", turning_handles(subject, "twist", degrees))
-    return Scene(f"bar, {degrees:.3g} degrees, width {meshes.width}", case, subject, max(STAGES, round(degrees / 20)))
+    words = f"bar, {degrees:.3g} degrees, width {meshes.width}"
+    # The edit fills its inside where its points cross, with the volume held; so does the mesh beside it.
+    return Scene(words, case, subject, max(STAGES, round(degrees / 20)), firmness=1.0)
 
 
 def whole_turn(meshes: Meshes) -> Scene:
     """A bar ten times as long as wide, turned once about its axis; its mesh is filled, for alone it would unwind."""
-    return replace(twist(meshes, 360.0, (0.15, 1.5, 0.15)), firmness=1.0)
+    return twist(meshes, 360.0, (0.15, 1.5, 0.15))
 
 
 def arm(meshes: Meshes) -> Scene:
@@ -213,7 +215,7 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=WIDTH, help="of the networks that are fitted first")
     parser.add_argument("--volume", action="store_true", help="hold the volume")
     parser.add_argument("--area", action="store_true", help="hold the area")
-    parser.add_argument("--method", choices=["auto", "finite", "linear", "coupled"], default="auto")
+    parser.add_argument("--method", choices=["auto", "finite", "warp", "linear", "coupled"], default="auto")
     given = parser.parse_args()
     CACHE.mkdir(exist_ok=True)
     held = [make() for make, asked in ((implicit.Volume, given.volume), (implicit.Area, given.area)) if asked]

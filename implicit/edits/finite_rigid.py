@@ -3,7 +3,7 @@
     points    spokes and rims of a mesh of the field's own surface, in the plane of its inside, against the rest shape
               (implicit.edits.rest_shape, implicit.step.local_global)
     field     trained on samples of the map that the points give, from the best rigid placement
-              (implicit.fitting.follow)
+              (implicit.fitting.follow), or its space warped and its parameters left alone (implicit.fitting.warping)
     end       steps of boundary sensitivity in the metric of that energy, functionals restored
               (implicit.edits.towards_points)
 
@@ -36,6 +36,7 @@ from implicit.evolve.trial import StepRefused
 from implicit.field.field import Field, SurfaceError
 from implicit.fitting.follow import FOLLOWED, Follower, Following, is_distance
 from implicit.fitting.training import FitStatus
+from implicit.fitting.warping import Back, all_parameters
 from implicit.sensitivity.moved_as_a_whole import moved_as_a_whole
 from implicit.sensitivity.shape_functionals import Functional, Volume
 from implicit.sensitivity.weak_curvature import FloatArray
@@ -84,6 +85,11 @@ COUPLED_PRICE = 10.0
 LAST_STEPS = 6
 STRAIN_LEFT = 0.055
 FIRMNESS = (1.0, 1e2, 1e4)
+
+# Widths of the weights of a warp, in spacings of the vertices: the first is taken whose strain, over the energy of the
+# points, is below the last number, else the one of least strain. Where all of a shape bends, the centres stand apart.
+WARP_WIDTHS = (1.5, 3.0)
+WARP_LEFT = 0.1
 
 # Lots of steps by which a wide field comes nearer, and the damping of all but the first, over that.
 LOTS_OF_WIDE, LATER_FIRMNESS = 8, 0.06
@@ -134,6 +140,7 @@ class FiniteProblem:
         start: Deformation that the field shows, of a shape at rest.
         coupled: Basis of the motion along the surface where field and points are to go together; None takes the points
             first.
+        warp: Whether the space of the field at rest is warped instead of its parameters changed.
     """
 
     field: Field
@@ -150,6 +157,7 @@ class FiniteProblem:
     seed: int
     start: Deformation
     coupled: TangentialModel | None = None
+    warp: bool = False
 
 
 def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence[str], began: float) -> Edit:
@@ -188,12 +196,19 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
     if minimum.status is not MinimumStatus.CONVERGED:
         own.append(_minimum_note(minimum))
     seconds_points = time.perf_counter() - began
-    edited, following = _followed(problem, follower, before.topology, tell)
+    if problem.warp:
+        edited, following = _warped(problem, start, minimum, follower, before.topology)
+    else:
+        edited, following = _followed(problem, follower, before.topology, tell)
+    # Its samples were made while points that cross were sought for.
+    following = replace(following, seconds=time.perf_counter() - began - seconds_points)
     row = _row(problem, edited.field, surface_map, minimum, following, seconds_points)
     end = _polished(problem, edited, surface_map, start.rest.laplacian, before.topology, row)
+    if problem.warp:
+        end = replace(end, field=all_parameters(end.field, start.field))
     following = _at_the_end(following, end.field, surface_map)
     own += _following_notes(problem.field, following)
-    edit = _edit(problem, surface_map, end, began)
+    edit = _with_stages(_edit(problem, surface_map, end, began), problem, way.points)
     reached = reached_target(edit, _way(problem.targets)) and following.miss_rms <= FOLLOWED * problem.field.size
     reached = reached and following.status is not FitStatus.DIVERGED
     edit = replace(
@@ -215,16 +230,36 @@ def vertices_of(field: Field, start: Deformation) -> SurfaceSample:
 
 
 @dataclass(frozen=True, eq=False)
+class _Stage:
+    """End of a stage of the points' way.
+
+    Attributes:
+        positions: Of all vertices of the energy of the shape at rest (V, 3).
+        energy: A squared length.
+        seconds: Wall time of the stage.
+    """
+
+    positions: FloatArray
+    energy: float
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
 class _Points:
     """Points of least energy.
 
     Attributes:
         minimum: The deformation.
-        highest: Energy at the end of a stage of their way, 0 where there was but one.
+        stages: What came before it, a stage each but the last.
     """
 
     minimum: Minimum
-    highest: float
+    stages: tuple[_Stage, ...]
+
+    @property
+    def highest(self) -> float:
+        """Energy at the end of a stage of their way, 0 where there was but one."""
+        return max((stage.energy for stage in self.stages), default=0.0)
 
     @property
     def unwound(self) -> bool:
@@ -312,7 +347,15 @@ def _points(
     solver = LocalGlobal(energy, hold, volume_of)
 
     def found(volume: float | None) -> _Points:
-        heights: list[float] = [0.0]
+        way: list[_Stage] = []
+        clock = time.perf_counter()
+
+        def passed(positions: FloatArray) -> None:
+            nonlocal clock
+            now, own = time.perf_counter(), positions[: len(start.positions)].copy()
+            way.append(_Stage(own, energy.energy(positions), now - clock))
+            clock = now
+
         minimum = solver.minimum(
             lambda fraction: everywhere(targets.positions(fraction).cpu().numpy()),
             positions,
@@ -321,15 +364,15 @@ def _points(
             tolerance=TOLERANCE,
             volume=volume,
             report=tell.points,
-            passed=lambda passed: heights.append(energy.energy(passed)),
+            passed=passed,
         )
         whole = minimum.energy
         if firmness > 0:  # what the inside has held apart is the surface's alone again
             B = len(start.positions)
             u, R = minimum.positions[:B], minimum.rotations[:B]
             minimum = replace(minimum, positions=u, rotations=R, energy=rest.energy.energy(u, R))
-            heights = [height * minimum.energy / whole for height in heights] if whole > 0 else heights
-        return _Points(minimum, max(heights))
+            way = [replace(stage, energy=stage.energy * minimum.energy / whole) for stage in way] if whole > 0 else way
+        return _Points(minimum, tuple(way))
 
     if held is None or bound == "equal":
         return found(held)
@@ -446,11 +489,12 @@ def _follower(problem: FiniteProblem, start: Deformation, minimum: Minimum) -> F
 
     It learns what the field at rest is carried to, so that of many edits none adds its own misses to the next.
     """
+    begin = start.field if problem.warp else _start(problem, start.map_to(minimum))
     return Follower(
         start.field.to(torch.float32),
         start.map_from_rest(minimum),
         values="auto",
-        start=_start(problem, start.map_to(minimum)).to(torch.float32),
+        start=begin.to(torch.float32),
         samples=SAMPLES,
         batch=BATCH,
         seed=problem.seed,
@@ -496,6 +540,26 @@ def _followed(problem: FiniteProblem, follower: Follower, rest: Topology, tell: 
     return found, following
 
 
+def _warped(
+    problem: FiniteProblem, start: Deformation, minimum: Minimum, follower: Follower, rest: Topology
+) -> tuple[_Found, Following]:
+    """Return the field at rest in warped space, of the width that leaves least strain in as many pieces as before."""
+    found = None
+    least = float("inf")
+    there = start.map_from_rest(minimum)
+    goals, masses = (torch.from_numpy(part).to(problem.precise.theta) for part in (there.moved, there.rest.masses))
+    towards = TowardsPoints(goals, masses, start.rest.laplacian, problem.seed)
+    for width in WARP_WIDTHS:
+        field = Back(there, width).warped(start.field, problem.seed)
+        tried, left = _Found.of(problem, field, rest), towards.left(field).energy()
+        if found is None or (tried.sound, -left) > (found.sound, -least):
+            found, least = tried, left
+        if found.sound and least <= WARP_LEFT * minimum.energy:
+            break
+    assert found is not None
+    return found, follower.judged(found.field)
+
+
 def _start(problem: FiniteProblem, surface_map: SurfaceMap) -> Field:
     """Return the field after the rigid motion that goes nearest to the map, where that can be had in closed form."""
     field, rest = problem.precise, surface_map.rest
@@ -534,7 +598,7 @@ def _polished(
     goals = torch.from_numpy(surface_map.moved).to(found.field.theta)
     masses = torch.from_numpy(surface_map.rest.masses).to(found.field.theta)
     operation = TowardsPoints(goals, masses, laplacian, problem.seed)
-    enough, began = STRAIN_LEFT * row["energy"], time.perf_counter()
+    enough, began = (WARP_LEFT if problem.warp else STRAIN_LEFT) * row["energy"], time.perf_counter()
     taken = 0
     if found.sound:
         found, taken = _nearer(problem, found, operation, enough, rest)
@@ -629,6 +693,30 @@ def _edit(problem: FiniteProblem, surface_map: SurfaceMap, end: _End, began: flo
     )
 
 
+def _with_stages(edit: Edit, problem: FiniteProblem, points: _Points) -> Edit:
+    """Return the edit with a row, and where the tracked points were, for each stage of the points' way."""
+    if not points.stages:
+        return edit
+    start, nan = problem.start, float("nan")
+    track = None if problem.track is None else problem.track.double().cpu().numpy()
+    foot = None if track is None else start.map_to(points.minimum).foot(track)
+    rows: list[Row] = []
+    trail: list[Tensor] = []
+    for stage in points.stages:
+        turned = start.rest.energy.rotations(stage.positions)
+        here = Minimum(stage.positions, turned, stage.energy, 0, nan, nan, MinimumStatus.ITERATIONS_SPENT)
+        there = start.map_to(here)
+        row = _row(problem, problem.precise, there, here, None, stage.seconds)
+        rows.append({**row, "method": f"{row['method']}, on the way"})
+        if foot is not None:
+            trail.append(torch.from_numpy(there.at(foot)).to(problem.track))
+    first, *others = edit.history
+    spent = sum(stage.seconds for stage in points.stages)
+    last = {key: first[key] - spent for key in ("seconds", "seconds_points", "seconds_solve")}
+    rows = [{**row, "step": number} for number, row in enumerate((*rows, {**first, **last}, *others), 1)]
+    return replace(edit, history=rows, trail=(*trail, *edit.trail))
+
+
 def _untouched(problem: FiniteProblem, status: EditStatus, began: float) -> Edit:
     """Return an edit that took no step."""
     sample = problem.sample
@@ -692,16 +780,23 @@ def _row(
         "condition": nan,
         "rank": nan,
         "damping": 0.0,
-        "method": "finite rotations" if following is not None else "finite rotations, coupled",
+        "method": _method(problem),
         "largest_motion": float(np.linalg.norm(surface_map.moved - surface_map.rest.vertices, axis=1).max()),
         "linearity_error": nan,
-        "d_theta_norm": float((edited.theta - problem.precise.theta).norm()),
+        "d_theta_norm": nan if problem.warp else float((edited.theta - problem.precise.theta).norm()),
         "points_lost": 0,
         "solve_status": minimum.status.value,
         "solves": minimum.iterations,
         "seconds_solve": seconds_points,
         "seconds": seconds,
     }
+
+
+def _method(problem: FiniteProblem) -> str:
+    """Return the name of the way in the records."""
+    if problem.coupled is not None:
+        return "finite rotations, coupled"
+    return "finite rotations, warp" if problem.warp else "finite rotations"
 
 
 def _minimum_note(minimum: Minimum) -> str:
@@ -734,7 +829,8 @@ def _strain_notes(row: Row) -> list[str]:
         return []
     return [
         f"The field's surface ripples about where the points are, a strain of {part:.2g} times the energy of the "
-        "points. A wider network follows better, and of shapes with planes and sharp edges one of softplus units."
+        "points. A wider network follows better, and of shapes with planes and sharp edges one of softplus units; "
+        'method="warp" leaves the network as it is and warps its space, which keeps the surface.'
     ]
 
 

@@ -37,6 +37,7 @@ from implicit.evolve.edit import Edit, EditStatus, Progress, require_options, wi
 from implicit.evolve.evolve import evolve
 from implicit.evolve.operation import Outcome, State, Taken
 from implicit.field.field import Field, require_field
+from implicit.models.warp import Warp
 from implicit.sensitivity.moved_as_a_whole import moved_as_a_whole
 from implicit.sensitivity.pointwise_curvature import normal_turning
 from implicit.sensitivity.shape_functionals import Area, Functional, Volume
@@ -132,9 +133,12 @@ def rigid_edit(
         handles: Regions with their motions, anchors among them as zero vectors. Weights scale the penalty.
         method: "linear" takes steps that are linear, by a Killing energy; "finite" minimises the energy of finite
             rotations against the rest shape and lets the field follow (implicit.edits.finite_rigid), for motions of
-            any size; "coupled" minimises that energy over the parameters and the coefficients of `tangential` together,
-            step by step (implicit.edits.coupled_rigid), for fields of up to 4000 parameters; "auto" chooses between the
-            first two by how much of the motion is left to be bent and turned, says so in `notes`, and takes linear
+            any size; "warp" minimises the same energy, but leaves the parameters of the field as they are and warps
+            its space: the edited field's module is an implicit.models.warp.Warp round the given one, whose surface
+            stays what it is where it moves rigidly, however little the network can express; "coupled" minimises that
+            energy over the parameters and the coefficients of `tangential` together, step by step
+            (implicit.edits.coupled_rigid), for fields of up to 4000 parameters; "auto" chooses between "linear" and
+            "finite" by how much of the motion is left to be bent and turned, says so in `notes`, and takes linear
             steps where an option is set that these alone have.
         steps: Sub-steps of the linear way; handles with a RigidMotion rotate along their path. Take one per 15 degrees
             or so. Finite rotations take as many stages as the path needs, but no fewer.
@@ -188,7 +192,9 @@ def rigid_edit(
     )
     start = None if rest is None else _deformation(field, rest)
     planar = precise.dimension == 2
-    if planar or start is not None:
+    if start is not None and isinstance(field.module, Warp) and len(start.field.theta) != len(field.theta):
+        method = _warp_again(method)
+    elif planar or start is not None:
         method = _finite_alone(method, "a field in 2 dimensions" if planar else "a shape at rest of before")
     handles, points = checked_handles(handles), _checked_points(precise, points)
     choice = _choice(method, precise, handles, points, settings, tangential)
@@ -217,6 +223,7 @@ def rigid_edit(
             seed=seed,
             start=start,
             coupled=_tangential_model(precise, tangential, seed) if choice.coupled else None,
+            warp=choice.warp,
         )
         return finite_rigid_edit(finite, field_soundness(field, resolution), choice.notes, began)
     before, near_surface, faces = soundness_on_mesh(field, resolution)
@@ -293,11 +300,21 @@ def _finite_alone(method: Method, what: str) -> Method:
     """Return the way of an edit that finite rotations alone can make, or refuse another."""
     if method in ("linear", "coupled"):
         raise ValueError(
-            f'method must be "auto" or "finite" for {what}, but is "{method}": linear steps strain the surface as it '
-            "is, along itself and as it bends in space, and coupled ones move its own points alone. Finite rotations "
-            "deform the inside of a curve, and know a shape at rest."
+            f'method must be "auto", "finite" or "warp" for {what}, but is "{method}": linear steps strain the surface '
+            "as it is, along itself and as it bends in space, and coupled ones move its own points alone. Finite "
+            "rotations deform the inside of a curve, and know a shape at rest."
         )
     return "finite" if method == "auto" else method
+
+
+def _warp_again(method: Method) -> Method:
+    """Return the way of an edit whose field at rest was warped before: by another warp in place of that one."""
+    if method not in ("auto", "warp"):
+        raise ValueError(
+            f'method must be "auto" or "warp" for a shape at rest whose space was warped before, but is "{method}", '
+            "which changes parameters: those of the field at rest are without the warp. Leave method or rest out."
+        )
+    return "warp"
 
 
 def _deformation(field: Field, rest: Edit) -> Deformation:

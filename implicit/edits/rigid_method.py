@@ -17,7 +17,10 @@ from implicit.edits.rigid_placement import Placement
 from implicit.edits.targets import AveragedTargets
 from implicit.surface.quadrature import SurfaceSample
 
-Method = Literal["auto", "linear", "finite", "coupled"]
+Method = Literal["auto", "linear", "finite", "warp", "coupled"]
+
+# Those that take finite rotations and have none of the options of linear steps.
+BY_ROTATIONS = ("finite", "warp", "coupled")
 
 # Measured on the bundled cow, whose head is pulled by a part of its length; energies over that of converged ARAP on its
 # common mesh, of one linear step and of finite rotations: 1.09 and 1.12 at 1 %, 1.009 and 1.013 at 3 %, 1.014 and 1.009
@@ -39,12 +42,14 @@ class Choice:
     Attributes:
         finite: True for finite rotations.
         coupled: True for finite rotations of field and points together.
+        warp: True where the space before the field is warped, and its parameters stay.
         notes: What the edit is to say of it: nothing where the caller has chosen.
     """
 
     finite: bool
     notes: tuple[str, ...] = ()
     coupled: bool = False
+    warp: bool = False
 
 
 def chosen(method: Method, parameters: int, linear_options: list[str]) -> Choice | None:
@@ -59,14 +64,14 @@ def chosen(method: Method, parameters: int, linear_options: list[str]) -> Choice
         ValueError: The method is none, or finite rotations are asked for with options that they have not.
     """
     require_choice("method", method, get_args(Method))
-    own = [name for name in linear_options if method == "finite" or name != "tangential"]
-    if method in ("finite", "coupled") and own:
+    own = [name for name in linear_options if method != "coupled" or name != "tangential"]
+    if method in BY_ROTATIONS and own:
         raise ValueError(
             f'{", ".join(own)} must be left out with method="{method}": the energy of finite rotations has no '
             'such option. Leave it out, or take method="linear".'
         )
     if method != "auto" or linear_options:
-        return Choice(method in ("finite", "coupled"), coupled=method == "coupled")
+        return Choice(method in BY_ROTATIONS, coupled=method == "coupled", warp=method == "warp")
     if parameters < FEWEST:
         return Choice(False, (f"Linear steps were taken, for the field has but {parameters} parameters.",))
     return None

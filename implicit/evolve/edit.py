@@ -119,7 +119,8 @@ class Edit:
         """Return the meshes on the way: the given one, and it carried along by each step.
 
         Its vertices are what the edit was to carry along, as in V, F = extract_mesh(field), track=torch.from_numpy(V).
-        A rigid edit by finite rotations knows where they end, and has no way there.
+        A rigid edit by finite rotations has one for each stage of the points' way, and the end: on the way they are
+        where the points would take them, for the field goes straight to the end.
 
         Args:
             V: The points that were given as `track`, (M, D).

@@ -196,6 +196,11 @@ class Follower:
             self._values, self._steps, perf_counter() - self._began, *miss, self._wanted.crossed, status
         )
 
+    def judged(self, field: Field) -> Following:
+        """Return how near another field comes to where this one is to be, as one that took no step of the optimiser."""
+        miss = surface_miss(field.to(self._field.dtype), self._wanted)
+        return Following("carried", 0, perf_counter() - self._began, *miss, self._wanted.crossed, FitStatus.DONE)
+
 
 def is_distance(field: Field, surface: WeakSurface) -> bool:
     """Return whether the slope of a field on its surface is near to 1, all over."""

@@ -35,7 +35,8 @@ def test_a_bar_ten_times_as_long_as_wide_turns_once_in_one_call(scenes):
     edit, _ = scene.edit(constraints=[implicit.Volume()])
     row = scene.row(edit, *scene.with_volume())
     assert any("inside filled" in note for note in edit.notes)
-    assert edit.history[0]["energy"] > 0.1  # where the points unwind it falls to nothing
+    energies = [row["energy"] for row in edit.history if "energy" in row]
+    assert energies[-1] > 0.1  # where the points unwind it falls to nothing
     assert (row["pieces"], row["Euler"]) == (1, 2)
     assert row["H"] <= 0.03
     assert row["handles"] <= 2e-3

@@ -111,6 +111,22 @@ def test_it_says_which_way_was_taken_and_why(bent):
     assert edit.history[0]["miss_rms"] < 0.01
 
 
+def test_each_stage_of_the_way_has_a_row_and_a_frame(rod):
+    V, F = extract_mesh(rod, 20)
+    track = project_to_surface(rod.to(torch.float64), torch.from_numpy(V))
+    handles = [FOOT, Handle(TIP, BEND)]
+    edit = rigid_edit(rod, handles, method="warp", steps=3, points=300, resolution=24, track=track)
+    assert [row["step"] for row in edit.history] == [1, 2, 3]
+    assert len(edit.trail) == 3
+    tip = track[:, 1] > 0.55  # where the handle holds all vertices about: they go along the motion's own path
+    for part, (frame, _) in enumerate(edit.frames(track, F)[1:], 1):
+        wanted = BEND.at(part / 3, track[tip]).numpy()
+        np.testing.assert_allclose(frame[tip.numpy()], wanted, atol=1e-6 if part < 3 else 2e-3)
+    energies = [row["energy"] for row in edit.history]
+    assert energies == sorted(energies)
+    assert sum(row["seconds"] for row in edit.history) <= edit.seconds
+
+
 def test_progress_is_told_in_hundredths(bent):
     _, _, told = bent
     steps = [step for step, _, _ in told]

@@ -148,7 +148,7 @@ def test_another_field_than_that_of_the_edit_is_refused(bar, bent):
 
 def test_linear_steps_are_refused_in_the_plane(bar):
     handles = [Handle(LEFT, (0.0, 0.0)), Handle(RIGHT, (0.0, 0.1))]
-    with pytest.raises(ValueError, match='"auto" or "finite" for a field in 2 dimensions'):
+    with pytest.raises(ValueError, match='"auto", "finite" or "warp" for a field in 2 dimensions'):
         rigid_edit(bar, handles, method="linear")
     with pytest.raises(ValueError, match="bending must be left out"):
         rigid_edit(bar, handles, bending=2.0)
