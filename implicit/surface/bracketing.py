@@ -25,6 +25,10 @@ MOST_EVALUATIONS = 100
 JUMP = 0.1
 NARROWED = 100.0
 
+# Of so few brackets one look at the ends of so many parts costs no more than one at a single place.
+FEW = 64
+PARTS = 16
+
 
 @dataclass(frozen=True, eq=False)
 class Zeros:
@@ -62,8 +66,11 @@ def bracketed_zeros(
     share = tolerance / length.clamp(min=tolerance)
     eps = torch.finfo(start.dtype).eps
     # a is the newest place on the segment, b the other end of the bracket, c the one left before; from 0 to 1.
-    a, b, c = torch.zeros_like(length), torch.ones_like(length), torch.zeros_like(length)
-    fa, fb, fc = at_start.clone(), at_end.clone(), at_start.clone()
+    a, b = torch.zeros_like(length), torch.ones_like(length)
+    fa, fb = at_start.clone(), at_end.clone()
+    if 0 < len(start) <= FEW:
+        a, b, fa, fb = _cut(field, start, along, fa, fb)
+    c, fc = a.clone(), fa.clone()
     first = (at_end - at_start).abs()
     # The secant first: piecewise linear fields have their zero there more often than not.
     t = (fa / (fa - fb)).nan_to_num(nan=0.5).clamp(0.05, 0.95)
@@ -84,6 +91,20 @@ def bracketed_zeros(
     left = torch.where(torch.minimum(fa.abs(), fb.abs()) == 0, torch.zeros_like(first), (fa - fb).abs())
     told = (b - a).abs() * NARROWED <= 1
     return Zeros(start + at[:, None] * along, told & (left > JUMP * first))
+
+
+def _cut(
+    field: Field, start: Float[Tensor, "n d"], along: Float[Tensor, "n d"], at_start: Tensor, at_end: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return the ends of the first of some parts of each segment over which f changes its sign, and f there."""
+    shares = torch.linspace(0, 1, PARTS + 1, dtype=start.dtype, device=start.device)
+    inner = start[:, None] + shares[1:-1, None] * along[:, None]
+    found = field.value(inner.flatten(0, 1)).view(len(start), -1)
+    values = torch.cat([at_start[:, None], found, at_end[:, None]], dim=1)
+    other = (values < 0) != (at_start < 0)[:, None]
+    last = other.int().argmax(dim=1)
+    ends = shares[last - 1], shares[last]
+    return *ends, *(values.gather(1, (last - before)[:, None])[:, 0] for before in (1, 0))
 
 
 def _narrow(
