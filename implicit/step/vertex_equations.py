@@ -65,6 +65,9 @@ SCALE = 5e5
 # Part of random signs that a factor in single precision may leave: what it lacks costs products, not accuracy.
 ROUGH = 0.5
 
+# Parameters from which the matrix S S^T in float64 is made once, for a product with it costs less than two with S.
+WIDE = 10_000
+
 # Entries of the strain whose weights a step's residual is relative to, as at points: three along the surface, and two
 # that bend it.
 ENTRIES = 5
@@ -188,6 +191,7 @@ class VertexEquations(Equations):
         self.asked = torch.cat([force[:, 2], self.targets])
         self.right = torch.cat([rows.transposed(self.asked), force[:, :2].flatten()])
         self.weight = energy.weight + weight
+        self._grams: dict[torch.dtype, Tensor] = {}
 
     def add(self, rows: Rows) -> None:
         """Refuse further equations: those of a price on functionals have no place here.
@@ -206,10 +210,17 @@ class VertexEquations(Equations):
         of_speeds = _on(self.right, self.energy.matrix.diagonal()).view(-1, 3)[:, 2]
         return torch.cat([of_speeds, torch.ones_like(self.targets)])
 
-    @cached_property
-    def products(self) -> Float[Tensor, "q q"]:
-        """Lower triangle of S S^T."""
-        return self.rows.gram()
+    def _gram(self, dtype: torch.dtype) -> Float[Tensor, "q q"]:
+        """Return the lower triangle of S S^T, which serves every damping; of many parameters by that in float64."""
+        if dtype not in self._grams:
+            wide = dtype != torch.float64 and self.space.parameters >= WIDE
+            self._grams[dtype] = self._gram(torch.float64).to(dtype) if wide else self.rows.gram(dtype)
+        return self._grams[dtype]
+
+    def products(self, c: Float[Tensor, " q"]) -> Float[Tensor, " q"]:
+        """Return S S^T c."""
+        known = self._grams.get(torch.float64)
+        return self.rows.times(self.rows.transposed(c)) if known is None else times(known, c)
 
     def trace(self) -> float:
         """Return the scale that a relative damping refers to, see SCALE."""
@@ -228,7 +239,7 @@ class VertexEquations(Equations):
         if damping <= 0 or self.energy.factor is None:
             return None
         for dtype in (torch.float32, torch.float64):
-            damped = self.products.to(dtype, copy=True)
+            damped = self._gram(dtype).clone()
             damped.diagonal().add_((damping / self.stiffness).to(dtype))
             near = Cholesky.of(damped)
             if near is not None and (dtype == torch.float64 or self._is_inverse(near, damping)):
@@ -239,7 +250,7 @@ class VertexEquations(Equations):
         """Return whether a factor in single precision will do: what it leaves of random signs, relative to these."""
         signs = random_signs(len(self.stiffness), 1, self.seed)[:, 0].to(self.right)
         found = near.solve(signs[:, None])[:, 0]
-        left = signs - times(self.products, found) - damping / self.stiffness * found
+        left = signs - self.products(found) - damping / self.stiffness * found
         return float(left.norm() / signs.norm()) < ROUGH
 
     def __repr__(self) -> str:
@@ -296,7 +307,7 @@ class VertexFactor(Factor):
         for _ in range(ITERATIONS):
             if not square > 0 or enough(c, left, image, along):
                 return c, along
-            product = times(self._equations.products, direction)
+            product = self._equations.products(direction)
             yielding, aside = self._compliant(direction)
             full = product + self._damping * yielding
             length = square / float(direction @ full)
