@@ -197,8 +197,8 @@ ROWS: dict[str, Row] = {
         0.3,
         0.5,
         "of a step from a field whose soundness is known a third is the soundness after it, on 128 cells; a twelfth "
-        "the connection of the points; the rest is linear algebra of 2000 points and 500 off the surface: the factor of "
-        "the mesh's energy, that of 2500 products of sensitivities (5e9 operations), these products, each about a "
+        "the connection of the points; the rest is linear algebra of 2000 points and 500 off the surface: the factor "
+        "of the mesh's energy, that of 2500 products of sensitivities (5e9 operations), these products, each about a "
         "tenth. With the products a tenth as many the energy would be 6 % higher",
     ),
     "smoothing": Row(
