@@ -95,12 +95,13 @@ class VertexEnergy:
 
     @cached_property
     def factor(self) -> SuperLU | None:
-        """Triangular factor of A; None where that is not positive definite."""
-        diagonal = self.matrix.diagonal()
-        matrix = sparse.csc_array(self.matrix + LEAST * diagonal.max() * sparse.eye_array(len(diagonal)))
-        options = {"SymmetricMode": True}
-        factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
-        return factor if bool((factor.U.diagonal() > 0).all()) else None
+        """Triangular factor of A, a little stiffer; None where that is singular."""
+        matrix, diagonal = self.matrix.copy(), self.matrix.diagonal()
+        matrix.setdiag(diagonal + LEAST * diagonal.max())
+        try:
+            return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        except RuntimeError:  # a pivot is exactly zero
+            return None
 
 
 def vertex_equations(space: VertexMotion, energies: Iterable[Energy]) -> VertexEquations:
@@ -131,11 +132,12 @@ def vertex_equations(space: VertexMotion, energies: Iterable[Energy]) -> VertexE
 def _on_mesh(space: VertexMotion, energies: Iterable[MeshKilling | VectorTarget]) -> VertexEnergy:
     """Return the sum of energies of the vertices."""
     count, axes = len(space.points), _double(space.axes)
-    matrix = sparse.csc_array((3 * count, 3 * count))
+    matrix: sparse.csc_array | None = None
     force, stiffness, constant, weight = np.zeros((count, 3)), np.zeros(count), 0.0, 0.0
     for energy in energies:
         if isinstance(energy, MeshKilling):
-            matrix = matrix + energy.matrix(axes)
+            found = energy.matrix(axes)
+            matrix = found if matrix is None else matrix + found
             weight += ENTRIES * float(energy.surface.contents.sum())
             continue
         at, weights, target = space.vertices_at(energy.points), _double(energy.weights), _double(energy.target)
@@ -143,7 +145,8 @@ def _on_mesh(space: VertexMotion, energies: Iterable[MeshKilling | VectorTarget]
         np.add.at(force, at, weights[:, None] * np.einsum("nax,nx->na", axes[at], target))
         constant += float(weights @ (target**2).sum(axis=1))
         weight += 3 * float(weights.sum())
-    matrix = sparse.csc_array(matrix + sparse.diags_array(np.repeat(stiffness, 3)))
+    matrix = sparse.csc_array((3 * count, 3 * count)) if matrix is None else matrix
+    matrix.setdiag(matrix.diagonal() + np.repeat(stiffness, 3))
     return VertexEnergy(matrix, force.ravel(), constant, weight)
 
 
@@ -310,7 +313,10 @@ class VertexFactor(Factor):
             product = self._equations.products(direction)
             yielding, aside = self._compliant(direction)
             full = product + self._damping * yielding
-            length = square / float(direction @ full)
+            stiff = float(direction @ full)
+            if not stiff > 0:  # rounding has made the factor of A indefinite
+                break
+            length = square / stiff
             c, image, left = c + length * direction, image + length * product, left - length * full
             along = along + length * aside
             toward = self._precondition(left)
