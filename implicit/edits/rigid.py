@@ -1,8 +1,11 @@
 """Rigid editing: the handles go to their targets, and the rest follows as rigidly as the field allows.
 
-Each step minimises E_K + alpha E_C over the parameters and the coefficients of a tangential basis together
-[paper, section 4.3]: E_K = int |J + J^T|^2 is zero just for infinitesimal rigid motions (Killing fields). The paper
-trains a second network for the tangential part; a linear basis makes each step one least squares.
+Each step minimises E_K + alpha E_C over the parameters and the motion along the surface together [paper, section 4.3]:
+E_K = int |J + J^T|^2 is zero just for infinitesimal rigid motions (Killing fields). The paper trains a second network
+for the motion along the surface. Here the points that carry an edit become the vertices of a mesh, on which E_K is
+taken and each of which is free along the surface (implicit.edits.connected_sample, implicit.step.vertex_equations):
+what holds it are its neighbours alone, so that the equations are sparse but for those of the parameters. Where there is
+no such mesh, or a basis is asked for, a linear one spans the motion, in one dense least squares.
 
 So these steps are for small motions. Large ones are done by finite rotations (implicit.edits.finite_rigid); which way
 is taken is said, or measured (implicit.edits.rigid_method).
@@ -10,8 +13,9 @@ is taken is said, or measured (implicit.edits.rigid_method).
 The rigid motion that fits the handles' targets best, as a whole, is done first, and exactly, where the network has a
 closed form; the steps have only the rest to do.
 
-A wide network's step is sought among combinations of the sensitivities of some points, a narrow one's among all
-parameters. All is computed in float64: the damping that suits these systems is below what single precision resolves.
+With a basis a wide network's step is sought among combinations of the sensitivities of some points, a narrow one's
+among all parameters. All is computed in float64: the damping that suits these systems is below what single precision
+resolves.
 """
 
 from __future__ import annotations
@@ -151,10 +155,15 @@ def rigid_edit(
             thickness. The paper's energy has
             1 for both; what lies off the surface then costs as much as strain on it. The default leaves half the
             tangential energy on the bundled cow, with the same handles.
-        tangential: Basis of the motion along the surface; None takes CosineFeatures(field).
+        tangential: Basis of the motion along the surface by linear steps. None leaves each point free, held by its
+            neighbours on a mesh of the points; CosineFeatures(field) takes its place where these make no mesh of the
+            surface or their weights are no areas, where there is no room for the sensitivities of all parameters, for
+            other weights of E_K than a mesh has (`bending=0`, a thickness), and where second derivatives do not tell
+            how the surface bends. The `method` of the rows of `history` is "vertices" with points that are free.
         points: Number of points that carry the energies, spread as far apart as can be, or the sample itself. Finite
             rotations take a mesh of as many vertices, or 4000 if that is more.
-        damping: Penalty on the squares of the unknowns; None adapts it to the linearity error.
+        damping: Penalty on the squares of the unknowns, of the parameters alone where the points are free along the
+            surface; None adapts it to the linearity error.
         off_surface_strength: Weight by which the field off the surface is tied to the surface's motion, see
             implicit.step.off_surface. 0 leaves it alone.
         constraints: Functionals to hold, such as Volume().

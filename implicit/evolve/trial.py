@@ -34,6 +34,9 @@ CORRECTIONS = 4
 # Part of the motion, squared, below which what is left to correct costs no strain worth a correction.
 NEGLIGIBLE = 1e-6
 
+# The same above which least squares of their own make up what the factor of the step leaves.
+WORTH = 1e-4
+
 # Of a step's motion: what it leaves undone is no reason to let it miss its prediction by more than this.
 UNDONE = 0.2
 
@@ -202,15 +205,19 @@ def normal_correction(
     field, at = trial.field, trial.projection.points[:count]
     change = before = torch.zeros_like(trial.x)
     left, moved_by = float("inf"), float(weights @ trial.predicted[:count].square().sum(dim=1))
+    factor = trial.factorised.factor if isinstance(trial.factorised.factor, VertexFactor) else None
     for number in range(CORRECTIONS + 1):
         gap = ((goal - at) * field.normal(at)).sum(dim=1)
         size = float(weights @ gap.square())
-        if size > left:
+        stalled = not size < 0.25 * left
+        if stalled and factor is not None and size > WORTH * moved_by:
+            factor, stalled = None, False
+        if stalled and size > left:
             return before
-        if number == CORRECTIONS or not size < 0.25 * left or size < NEGLIGIBLE * moved_by:
+        if number == CORRECTIONS or stalled or size < NEGLIGIBLE * moved_by:
             break
         left, before = size, change
-        step = _normal_step(problem, trial, field, at, gap, weights)
+        step = _normal_step(problem, factor, field, at, gap, weights)
         moved = field.with_theta(field.theta + problem.space.basis.change(step))
         arrived_at, arrived = newton_to_surface(moved, goal, reach=trial.reach)
         if not bool(arrived.all()):
@@ -223,15 +230,14 @@ def normal_correction(
 
 def _normal_step(
     problem: StepProblem,
-    trial: Trial,
+    factor: VertexFactor | None,
     field: Field,
     at: Float[Tensor, "i d"],
     gap: Float[Tensor, " i"],
     weights: Float[Tensor, " i"],
 ) -> Float[Tensor, " k"]:
     """Return the unknowns of the normal part that move points of a field's surface along its normals by some gaps."""
-    factor = trial.factorised.factor
-    if isinstance(factor, VertexFactor):
+    if factor is not None:
         return factor.fitted(gap)
     space = DeformationSpace(field, basis=problem.space.basis)
     return assemble(StepProblem(space, [NormalTarget(at, gap, weights)])).solve().x

@@ -184,12 +184,12 @@ class RowFactors:
             total.index_add_(0, derived.support, derived.back(self.theta, whole[None])[0])
         return total
 
-    def gram(self) -> Float[Tensor, "r r"]:
-        """Lower triangle of the products of the rows with each other, in float64.
+    def gram(self, dtype: torch.dtype = torch.float64) -> Float[Tensor, "r r"]:
+        """Lower triangle of the products of the rows with each other, in float64 or, where that will do, in float32.
 
         Matrices of parameters cost as many numbers a row as they have rows and columns, not as they have entries.
         """
-        total = torch.zeros(self.count, self.count, dtype=torch.float64, device=self.theta.device)
+        total = torch.zeros(self.count, self.count, dtype=dtype, device=self.theta.device)
         matrices, flat, rest = [], [], {}
         for part in _folded(self.parts, self.columns):
             kernel = self._kernel(part)
@@ -237,7 +237,7 @@ class RowFactors:
                 some = [Part(part.operand, [sliced(term, piece) for term in part.terms]) for part in parts]
                 rows = self.theta.new_empty(len(some[0].terms[0][0]), self.columns.parameters)
                 self.columns.write(rows, some, self.theta)
-                blocks.append(rows[:, columns].double())
+                blocks.append(rows[:, columns].to(total.dtype))
             matrix = torch.cat(blocks)
             total.addmm_(matrix, matrix.T)
 
@@ -285,8 +285,8 @@ def _padded(x: Tensor | None, ones: bool) -> Tensor | None:
 
 def _add_products(total: Tensor, matrices: Sequence[list[Term]], flat: Sequence[tuple[float, Tensor]]) -> None:
     """Add products of rows by their factors to the lower triangle, in blocks that keep two factors in the cache."""
-    exact = [[(e.double(), x.double()) for e, x in terms if x is not None] for terms in matrices]
-    signed = [(sign, e.double()) for sign, e in flat]
+    exact = [[(e.to(total.dtype), x.to(total.dtype)) for e, x in terms if x is not None] for terms in matrices]
+    signed = [(sign, e.to(total.dtype)) for sign, e in flat]
     room = total.new_empty(2, GRAM_ROWS * len(total))
     for start in range(0, len(total), GRAM_ROWS):
         end = min(len(total), start + GRAM_ROWS)

@@ -148,7 +148,8 @@ class MeshKilling:
         rows = np.broadcast_to((3 * F[:, :, None] + k)[..., None], (m, 3, 3, 9)).ravel()
         columns = np.broadcast_to(places[:, None, None], (m, 3, 3, 9)).ravel()
         joined = sparse.coo_array((sums, (rows, columns)), shape=(3 * V, 3 * V)).tocsr()
-        return sparse.csc_array(of_faces.tocsr() - weight / 3 * (joined.T @ joined))
+        # Symmetric, so that the transposed is the same matrix by columns.
+        return (of_faces.tocsr() - weight / 3 * (joined.T @ joined)).T
 
     def _along(self, entries: list[FloatArray], axes: FloatArray) -> FloatArray:
         """Return rows of the corners' displacements (m, 3 corners, 3) as ones of these along axes (m, r, 9)."""

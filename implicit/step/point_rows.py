@@ -70,16 +70,16 @@ class PointRows:
         known = self.sensitivities
         return (known.count if isinstance(known, RowFactors) else len(known)) - len(self.tied)
 
-    def gram(self) -> Float[Tensor, "n n"]:
+    def gram(self, dtype: torch.dtype = torch.float64) -> Float[Tensor, "n n"]:
         """Return the lower triangle of the products of the rows with each other; what is above it does not count."""
-        known, free, at, by = self.sensitivities, self._free, self.other, self.tied[:, None]
-        lower = known.gram() if isinstance(known, RowFactors) else gram(known)
+        known, free, at, by = self.sensitivities, self._free, self.other, self.tied[:, None].to(dtype)
+        lower = known.gram(dtype) if isinstance(known, RowFactors) else gram(known.to(dtype))
         first = lower[:free, :free]
         before = torch.arange(free, device=at.device) <= at[:, None]
         whole = torch.where(before, first[at], first[:, at].T)  # of the rows that are added with all before the last
         across = lower[free:, :free]
         mixed = by * across[:, at].T  # of those that are added with the last
-        lower[free:, free:] += mixed + mixed.T + by * whole[:, at] * self.tied
+        lower[free:, free:] += mixed + mixed.T + by * whole[:, at] * by.T
         across += by * whole
         return lower
 

@@ -65,6 +65,9 @@ SCALE = 5e5
 # Part of random signs that a factor in single precision may leave: what it lacks costs products, not accuracy.
 ROUGH = 0.5
 
+# Parameters from which the matrix S S^T in float64 is made once, for a product with it costs less than two with S.
+WIDE = 10_000
+
 # Entries of the strain whose weights a step's residual is relative to, as at points: three along the surface, and two
 # that bend it.
 ENTRIES = 5
@@ -92,12 +95,13 @@ class VertexEnergy:
 
     @cached_property
     def factor(self) -> SuperLU | None:
-        """Triangular factor of A; None where that is not positive definite."""
-        diagonal = self.matrix.diagonal()
-        matrix = sparse.csc_array(self.matrix + LEAST * diagonal.max() * sparse.eye_array(len(diagonal)))
-        options = {"SymmetricMode": True}
-        factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
-        return factor if bool((factor.U.diagonal() > 0).all()) else None
+        """Triangular factor of A, a little stiffer; None where that is singular."""
+        matrix, diagonal = self.matrix.copy(), self.matrix.diagonal()
+        matrix.setdiag(diagonal + LEAST * diagonal.max())
+        try:
+            return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        except RuntimeError:  # a pivot is exactly zero
+            return None
 
 
 def vertex_equations(space: VertexMotion, energies: Iterable[Energy]) -> VertexEquations:
@@ -128,11 +132,12 @@ def vertex_equations(space: VertexMotion, energies: Iterable[Energy]) -> VertexE
 def _on_mesh(space: VertexMotion, energies: Iterable[MeshKilling | VectorTarget]) -> VertexEnergy:
     """Return the sum of energies of the vertices."""
     count, axes = len(space.points), _double(space.axes)
-    matrix = sparse.csc_array((3 * count, 3 * count))
+    matrix: sparse.csc_array | None = None
     force, stiffness, constant, weight = np.zeros((count, 3)), np.zeros(count), 0.0, 0.0
     for energy in energies:
         if isinstance(energy, MeshKilling):
-            matrix = matrix + energy.matrix(axes)
+            found = energy.matrix(axes)
+            matrix = found if matrix is None else matrix + found
             weight += ENTRIES * float(energy.surface.contents.sum())
             continue
         at, weights, target = space.vertices_at(energy.points), _double(energy.weights), _double(energy.target)
@@ -140,7 +145,8 @@ def _on_mesh(space: VertexMotion, energies: Iterable[MeshKilling | VectorTarget]
         np.add.at(force, at, weights[:, None] * np.einsum("nax,nx->na", axes[at], target))
         constant += float(weights @ (target**2).sum(axis=1))
         weight += 3 * float(weights.sum())
-    matrix = sparse.csc_array(matrix + sparse.diags_array(np.repeat(stiffness, 3)))
+    matrix = sparse.csc_array((3 * count, 3 * count)) if matrix is None else matrix
+    matrix.setdiag(matrix.diagonal() + np.repeat(stiffness, 3))
     return VertexEnergy(matrix, force.ravel(), constant, weight)
 
 
@@ -188,6 +194,7 @@ class VertexEquations(Equations):
         self.asked = torch.cat([force[:, 2], self.targets])
         self.right = torch.cat([rows.transposed(self.asked), force[:, :2].flatten()])
         self.weight = energy.weight + weight
+        self._grams: dict[torch.dtype, Tensor] = {}
 
     def add(self, rows: Rows) -> None:
         """Refuse further equations: those of a price on functionals have no place here.
@@ -206,10 +213,17 @@ class VertexEquations(Equations):
         of_speeds = _on(self.right, self.energy.matrix.diagonal()).view(-1, 3)[:, 2]
         return torch.cat([of_speeds, torch.ones_like(self.targets)])
 
-    @cached_property
-    def products(self) -> Float[Tensor, "q q"]:
-        """Lower triangle of S S^T."""
-        return self.rows.gram()
+    def _gram(self, dtype: torch.dtype) -> Float[Tensor, "q q"]:
+        """Return the lower triangle of S S^T, which serves every damping; of many parameters by that in float64."""
+        if dtype not in self._grams:
+            wide = dtype != torch.float64 and self.space.parameters >= WIDE
+            self._grams[dtype] = self._gram(torch.float64).to(dtype) if wide else self.rows.gram(dtype)
+        return self._grams[dtype]
+
+    def products(self, c: Float[Tensor, " q"]) -> Float[Tensor, " q"]:
+        """Return S S^T c."""
+        known = self._grams.get(torch.float64)
+        return self.rows.times(self.rows.transposed(c)) if known is None else times(known, c)
 
     def trace(self) -> float:
         """Return the scale that a relative damping refers to, see SCALE."""
@@ -228,7 +242,7 @@ class VertexEquations(Equations):
         if damping <= 0 or self.energy.factor is None:
             return None
         for dtype in (torch.float32, torch.float64):
-            damped = self.products.to(dtype, copy=True)
+            damped = self._gram(dtype).clone()
             damped.diagonal().add_((damping / self.stiffness).to(dtype))
             near = Cholesky.of(damped)
             if near is not None and (dtype == torch.float64 or self._is_inverse(near, damping)):
@@ -239,7 +253,7 @@ class VertexEquations(Equations):
         """Return whether a factor in single precision will do: what it leaves of random signs, relative to these."""
         signs = random_signs(len(self.stiffness), 1, self.seed)[:, 0].to(self.right)
         found = near.solve(signs[:, None])[:, 0]
-        left = signs - times(self.products, found) - damping / self.stiffness * found
+        left = signs - self.products(found) - damping / self.stiffness * found
         return float(left.norm() / signs.norm()) < ROUGH
 
     def __repr__(self) -> str:
@@ -296,10 +310,13 @@ class VertexFactor(Factor):
         for _ in range(ITERATIONS):
             if not square > 0 or enough(c, left, image, along):
                 return c, along
-            product = times(self._equations.products, direction)
+            product = self._equations.products(direction)
             yielding, aside = self._compliant(direction)
             full = product + self._damping * yielding
-            length = square / float(direction @ full)
+            stiff = float(direction @ full)
+            if not stiff > 0:  # rounding has made the factor of A indefinite
+                break
+            length = square / stiff
             c, image, left = c + length * direction, image + length * product, left - length * full
             along = along + length * aside
             toward = self._precondition(left)
