@@ -104,7 +104,7 @@ class Back:
             parameters=["maps"],
             level=precise.level,
             inside=precise.inside,
-            bounds=precise.bounds.tolist(),
+            bounds=_corners(precise),
             units=precise.units,
             check=False,
         )
@@ -134,7 +134,7 @@ class Back:
     def _worst(self, errors: FloatArray, chosen: IntArray) -> list[int]:
         """Return the vertices that a further centre is worth, the worst first and apart from each other."""
         y, least = self._moved, max(ENOUGH, WORTH * float(errors.max()))
-        free = cKDTree(y[chosen]).query(y)[0] > NEAREST * self._spacing
+        free = np.asarray(cKDTree(y[chosen]).query(y)[0]) > NEAREST * self._spacing
         most = max(FIRST, min(MOST, len(y) // EVERY))
         more: list[int] = []
         for v in np.argsort(-errors):
@@ -188,7 +188,12 @@ def all_parameters(warped: Field, field: Field) -> Field:
         parameters=names,
         level=warped.level,
         inside=warped.inside,
-        bounds=warped.bounds.tolist(),
+        bounds=_corners(warped),
         units=warped.units,
         check=False,
     )
+
+
+def _corners(field: Field) -> tuple[list[float], list[float]]:
+    low, high = field.bounds.tolist()
+    return low, high
