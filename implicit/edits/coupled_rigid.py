@@ -100,7 +100,7 @@ class Asked:
 
     @property
     def held(self) -> tuple[tuple[EnclosedVolume | EnclosedArea | SurfaceArea, float], ...]:
-        """What is held, and at which value."""
+        """Functionals that are held, and the value of each."""
         faces, count = self.rest.energy.faces, len(self.rest.energy.vertices)
         both = ((self.rest.volume, self.volume), (SurfaceArea(faces, count), self.area))
         return tuple((functional, value) for functional, value in both if value is not None)

@@ -88,8 +88,10 @@ STRAIN_LEFT = 0.055
 FIRMNESS = (1.0, 1e2, 1e4)
 
 # Widths of the weights of a warp, in spacings of the vertices: the first is taken whose strain, over the energy of the
-# points, is below the last number, else the one of least strain. Where all of a shape bends, the centres stand apart.
+# points, is below the last number, else the one of least strain. Where all of a shape bends, the centres stand apart,
+# and what their rotations miss, over the size, says so: the wider weights then come first.
 WARP_WIDTHS = (1.5, 3.0)
+WARP_MISSED = 5e-3
 WARP_LEFT = 0.1
 
 # Lots of steps by which a wide field comes nearer, and the damping of all but the first, over that.
@@ -565,8 +567,11 @@ def _warped(
     there = start.map_from_rest(minimum)
     goals, masses = (torch.from_numpy(part).to(problem.precise.theta) for part in (there.moved, there.rest.masses))
     towards = TowardsPoints(goals, masses, start.rest.laplacian, problem.seed)
-    for width in WARP_WIDTHS:
-        field = Back(there, width).warped(start.field, problem.seed)
+    ways = [Back(there, width) for width in WARP_WIDTHS]
+    if ways[0].missed > WARP_MISSED:
+        ways.reverse()
+    for way in ways:
+        field = way.warped(start.field, problem.seed)
         tried, left = _Found.of(problem, field, rest), towards.left(field).energy()
         if found is None or (tried.sound, -left) > (found.sound, -least):
             found, least = tried, left

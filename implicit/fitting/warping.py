@@ -88,7 +88,7 @@ class Back:
                 'method="warp" needs a field of a module, whose values are those of the places that space is warped '
                 'to, but this one is of a decoder with its code. Take method="finite".'
             )
-        chosen = self._centres()
+        chosen = self._centres[0]
         D = precise.dimension
         form = getattr(precise._evaluator, "form", None)
         warp = Warp(module, len(chosen), D, width=self.width * self._spacing, form=form).double()
@@ -109,8 +109,14 @@ class Back:
             check=False,
         )
 
-    def _centres(self) -> IntArray:
-        """Return the vertices that carry a centre (K,)."""
+    @property
+    def missed(self) -> float:
+        """Root mean square distance from the vertices to which the centres' rotations alone take them, over the size."""
+        return self._centres[1]
+
+    @cached_property
+    def _centres(self) -> tuple[IntArray, float]:
+        """Vertices that carry a centre (K,), and what their rotations miss."""
         y, x, R = self._moved, self._rest, self.surface_map.rotations
         size = float(np.ptp(x, axis=0).max())
         chosen, apart = [0], np.linalg.norm(y - y[0], axis=1)
@@ -128,7 +134,7 @@ class Back:
             errors = np.linalg.norm(back - x, axis=1) / size
             more = self._worst(errors, here)
             if not more:
-                return here
+                return here, float(np.sqrt((errors**2).mean()))
             chosen += more
 
     def _worst(self, errors: FloatArray, chosen: IntArray) -> list[int]:
