@@ -111,7 +111,7 @@ class Back:
 
     @property
     def missed(self) -> float:
-        """Root mean square distance from the vertices to which the centres' rotations alone take them, over the size."""
+        """Root mean square distance over the size between the vertices and where the centres' rotations take them back."""
         return self._centres[1]
 
     @cached_property
