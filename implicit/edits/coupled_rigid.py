@@ -28,11 +28,14 @@ from scipy.linalg import lapack
 from implicit.field.field import Field
 from implicit.sensitivity.weak_curvature import FloatArray
 from implicit.step.deformation import DeformationSpace
+from implicit.step.enclosed_volume import EnclosedVolume
 from implicit.step.local_global import Minimum, MinimumStatus
 from implicit.step.off_surface import off_surface
+from implicit.step.planar_rigidity import EnclosedArea
 from implicit.step.preconditioned import Descent
 from implicit.step.rest_shape import RestShape
 from implicit.step.rigidity_target import RigidityTarget
+from implicit.step.surface_area import SurfaceArea
 from implicit.step.symmetric import add_gram
 from implicit.step.tangential_basis import TangentialModel
 from implicit.surface.projection import newton_to_surface
@@ -57,8 +60,8 @@ FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-7, 1e-8, 1e-5
 # the share of a distance's deviation from one that a linearisation is to undo: many of them drift.
 OFF_SURFACE_STRENGTH, OFF_SURFACE_POINTS, RESTORE = 1.0, 1500, 0.5
 
-# Price of the squared relative change of a volume that is held, in units of the size squared.
-VOLUME_PRICE = 100.0
+# Price of the squared relative change of a volume or area that is held, in units of the size squared.
+HELD_PRICE = 100.0
 
 # Part of the vertices that have to find the surface after a step; what does not stays where the step sends it.
 ARRIVED = 0.995
@@ -79,7 +82,7 @@ class Asked:
         places: From the fraction of the path to where the vertices are to be (V, 3).
         prices: Of the squared distance of each from there (V,), 0 where nothing is asked.
         stages: Parts of the path.
-        volume: To hold, as the mesh measures it; None holds none.
+        volume, area: To hold, as the mesh measures them; None holds none.
         tangential: Basis of the motion along the surface.
         seed: Of the random points off the surface.
         is_distance: Whether the field is a distance, and is to stay one.
@@ -93,6 +96,14 @@ class Asked:
     tangential: TangentialModel
     seed: int
     is_distance: bool
+    area: float | None = None
+
+    @property
+    def held(self) -> tuple[tuple[EnclosedVolume | EnclosedArea | SurfaceArea, float], ...]:
+        """Functionals that are held, and the value of each."""
+        faces, count = self.rest.energy.faces, len(self.rest.energy.vertices)
+        both = ((self.rest.volume, self.volume), (SurfaceArea(faces, count), self.area))
+        return tuple((functional, value) for functional, value in both if value is not None)
 
 
 def coupled_minimum(field: Field, start: FloatArray, asked: Asked, report: Report | None) -> tuple[Field, Minimum]:
@@ -129,7 +140,7 @@ def coupled_minimum(field: Field, start: FloatArray, asked: Asked, report: Repor
             if not last and found.part == 1:
                 break
     rotations = energy.rotations(at, rotations)
-    gap = 0.0 if asked.volume is None else abs(asked.rest.volume.value(at) / asked.volume - 1)
+    gap = max((abs(functional.value(at) / wanted - 1) for functional, wanted in asked.held), default=0.0)
     return field, Minimum(at, rotations, energy.energy(at, rotations), done, move, gap, status)
 
 
@@ -150,10 +161,10 @@ class _Goal:
         value = float(np.vdot(at, half) - np.vdot(at, turned) + np.vdot(x, energy.laplacian @ x))
         value += float(asked.prices @ (missed**2).sum(axis=1))
         gradient = 2 * (half + asked.prices[:, None] * missed)
-        if asked.volume is not None:
-            gap = asked.rest.volume.value(at) / asked.volume - 1
-            value += self.volume_price * gap**2
-            gradient = gradient + 2 * self.volume_price * gap / asked.volume * asked.rest.volume.gradient(at)
+        for functional, wanted in asked.held:
+            gap = functional.value(at) / wanted - 1
+            value += self.held_price * gap**2
+            gradient = gradient + 2 * self.held_price * gap / wanted * functional.gradient(at)
         return value, gradient, rotations
 
     def value(self, at: FloatArray, start: FloatArray) -> float:
@@ -161,8 +172,8 @@ class _Goal:
         return self.value_and_gradient(at, start)[0]
 
     @cached_property
-    def volume_price(self) -> float:
-        return VOLUME_PRICE * float(np.ptp(self.asked.rest.energy.vertices, axis=0).max()) ** 2
+    def held_price(self) -> float:
+        return HELD_PRICE * float(np.ptp(self.asked.rest.energy.vertices, axis=0).max()) ** 2
 
     @cached_property
     def metric(self) -> sparse.csc_array:
@@ -283,9 +294,8 @@ def _minimised(
     matrix = motion.normal_matrix(goal.metric).astype(np.float64)
     ridge = damping * np.trace(matrix)
     matrix[np.diag_indices_from(matrix)] += ridge
-    volume = goal.asked.volume
-    if volume is not None:
-        grown = motion.transposed(goal.asked.rest.volume.gradient(at)) * (goal.volume_price**0.5 / volume)
+    for functional, value in goal.asked.held:
+        grown = motion.transposed(functional.gradient(at)) * (goal.held_price**0.5 / value)
         matrix += np.tril(np.outer(grown, grown))
     # The triangle below the diagonal is the upper one of the Fortran-ordered view.
     factor, failed = lapack.dpotrf(matrix.T, lower=0, overwrite_a=1)

@@ -38,13 +38,14 @@ from implicit.fitting.follow import FOLLOWED, Follower, Following, is_distance
 from implicit.fitting.training import FitStatus
 from implicit.fitting.warping import Back, all_parameters
 from implicit.sensitivity.moved_as_a_whole import moved_as_a_whole
-from implicit.sensitivity.shape_functionals import Functional, Volume
+from implicit.sensitivity.shape_functionals import Area, Functional, Volume
 from implicit.sensitivity.weak_curvature import FloatArray
 from implicit.step.enclosed_volume import EnclosedVolume
 from implicit.step.filled import Filled
 from implicit.step.local_global import STAGE_ITERATIONS, Hold, LocalGlobal, Minimum, MinimumStatus
 from implicit.step.problem import Row
 from implicit.step.rest_shape import Deformation
+from implicit.step.surface_area import SurfaceArea
 from implicit.step.surface_map import SurfaceMap
 from implicit.step.tangential_basis import TangentialModel
 from implicit.surface.projection import newton_to_surface
@@ -87,8 +88,10 @@ STRAIN_LEFT = 0.055
 FIRMNESS = (1.0, 1e2, 1e4)
 
 # Widths of the weights of a warp, in spacings of the vertices: the first is taken whose strain, over the energy of the
-# points, is below the last number, else the one of least strain. Where all of a shape bends, the centres stand apart.
+# points, is below the last number, else the one of least strain. Where all of a shape bends, the centres stand apart,
+# and what their rotations miss, over the size, says so: the wider weights then come first.
 WARP_WIDTHS = (1.5, 3.0)
+WARP_MISSED = 5e-3
 WARP_LEFT = 0.1
 
 # Lots of steps by which a wide field comes nearer, and the damping of all but the first, over that.
@@ -343,6 +346,7 @@ def _points(
         spread = rest.spread(values)
         return np.concatenate([spread, np.zeros((count - len(spread), *spread.shape[1:]))])
 
+    area = _area(problem, start)
     hold = Hold(everywhere((weights >= 1).astype(np.float64)) > 0, everywhere(soft))
     solver = LocalGlobal(energy, hold, volume_of)
 
@@ -363,6 +367,7 @@ def _points(
             stage_iterations=iterations,
             tolerance=TOLERANCE,
             volume=volume,
+            area=area,
             report=tell.points,
             passed=passed,
         )
@@ -405,6 +410,7 @@ def _coupled_edit(
         prices=COUPLED_PRICE * KILLING_SHARE * problem.alpha * start.surface.masses * weights,
         stages=stages_of(float(whole.max()) / problem.precise.size, turning(targets), problem.steps),
         volume=volume if bound == "equal" else None,
+        area=_area(problem, start),
         tangential=tangential,
         seed=problem.seed,
         is_distance=is_distance(problem.precise, start.surface),
@@ -428,6 +434,18 @@ def _coupled_edit(
         deformation=Deformation(start.field, start.rest, minimum.positions),
     )
     return with_evidence(edit, problem.field, before, problem.resolution, end.soundness)
+
+
+def _area(problem: FiniteProblem, start: Deformation) -> float | None:
+    """Return the area that the mesh is to hold, in space; of one-sided bounds the end takes care."""
+    for functional in problem.constraints:
+        if type(functional) is Area and functional.bound == "equal" and problem.field.dimension == 3:
+            own = SurfaceArea(start.rest.energy.faces, len(start.positions)).value(start.positions)
+            if functional.target is None:
+                return own
+            measured = ConstraintSet.of(problem.precise, [Area()], Holding(resolution=problem.resolution)).targets[0]
+            return own * functional.target / measured
+    return None
 
 
 def _volume(problem: FiniteProblem, start: Deformation) -> tuple[float | None, str]:
@@ -549,8 +567,11 @@ def _warped(
     there = start.map_from_rest(minimum)
     goals, masses = (torch.from_numpy(part).to(problem.precise.theta) for part in (there.moved, there.rest.masses))
     towards = TowardsPoints(goals, masses, start.rest.laplacian, problem.seed)
-    for width in WARP_WIDTHS:
-        field = Back(there, width).warped(start.field, problem.seed)
+    ways = [Back(there, width) for width in WARP_WIDTHS]
+    if ways[0].missed > WARP_MISSED:
+        ways.reverse()
+    for way in ways:
+        field = way.warped(start.field, problem.seed)
         tried, left = _Found.of(problem, field, rest), towards.left(field).energy()
         if found is None or (tried.sound, -left) > (found.sound, -least):
             found, least = tried, left

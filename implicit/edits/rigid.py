@@ -89,8 +89,9 @@ COMBINATIONS = 1500
 FEWEST_COMBINATIONS = 500
 NUMBERS = 100_000_000
 
-# Points of the surface that are looked at to choose between the ways.
+# Points of the surface that are looked at to choose between the ways, and the cells along the bounds to draw them on.
 LOOKED_AT = 1000
+LOOKED_AT_CELLS = 32
 
 # Weight of the bending part of E_K where none is asked for.
 BENDING = 0.1
@@ -389,7 +390,8 @@ def _choice(
     if isinstance(points, SurfaceSample):
         sample = points
     else:
-        sample = sample_surface(precise.to(torch.float32), LOOKED_AT, seed=settings.seed).to(torch.float64)
+        single = precise.to(torch.float32)
+        sample = sample_surface(single, LOOKED_AT, resolution=LOOKED_AT_CELLS, seed=settings.seed).to(torch.float64)
         seen = AveragedTargets(handles, sample.points, sample.normals)
         if not all(bool((weights > 0).any()) for weights in seen.handle_weights):
             sample = carrying_points(precise, points, "farthest", seed=settings.seed)

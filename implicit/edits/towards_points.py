@@ -13,6 +13,7 @@ anew each time (`nearer`). A step is taken where it lowers the energy.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
@@ -30,6 +31,7 @@ from implicit.field.field import Field
 from implicit.sensitivity.boundary_sensitivity import parameter_gradient
 from implicit.sensitivity.closed_form import factors, fits
 from implicit.sensitivity.row_factors import RowFactors
+from implicit.sensitivity.weak_curvature import FloatArray
 from implicit.step.deformation import DeformationSpace
 from implicit.step.energies import Energy, FieldTarget, NormalTarget
 from implicit.step.off_surface import off_surface
@@ -193,11 +195,13 @@ class _Normal:
         matrix: Its lower triangle, in single precision (P, P).
         rows: Motion of the vertices along their normals by each parameter (V, P), in single precision.
         away: Sum over what is asked off the surface, at the first of the steps (P,).
+        factors: Of the matrix with the last damping, by that.
     """
 
     matrix: Float[Tensor, "p p"]
     rows: Float[Tensor, "v p"]
     away: Float[Tensor, " p"]
+    factors: dict[float, FloatArray] = dataclasses.field(default_factory=dict)
 
     @classmethod
     def of(cls, field: Field, left: RigidityTarget, target: FieldTarget) -> _Normal:
@@ -215,7 +219,7 @@ class _Normal:
     def step(self, left: RigidityTarget, damping: float) -> Float[Tensor, " p"] | None:
         """Return the change of the parameters, in float64; None where it cannot be told."""
         bent = torch.from_numpy(left.metric @ left.gaps.cpu().numpy()).to(self.rows)
-        found = _solved(self.matrix, damping, self.rows.T @ bent + self.away, np.float64)
+        found = _solved(self.matrix, damping, self.rows.T @ bent + self.away, np.float64, self.factors)
         return None if found is None else found.to(left.gaps)
 
 
@@ -232,12 +236,14 @@ class _Products:
             weight, by each parameter (N, P), in single precision.
         factor: U of the metric at the first of the steps (V, V).
         away: What is asked off the surface, by the root of its weight (M,).
+        factors: Of the matrix with the last damping, by that.
     """
 
     matrix: Float[Tensor, "n n"]
     rows: RowFactors | Float[Tensor, "n p"]
     factor: sparse.csr_array
     away: Float[Tensor, " m"]
+    factors: dict[float, FloatArray] = dataclasses.field(default_factory=dict)
 
     @classmethod
     def of(cls, field: Field, left: RigidityTarget, target: FieldTarget) -> _Products:
@@ -262,7 +268,7 @@ class _Products:
     def step(self, left: RigidityTarget, damping: float) -> Float[Tensor, " p"] | None:
         """Return the change of the parameters, in float64; None where it cannot be told."""
         bent = torch.from_numpy(self.factor @ left.gaps.double().cpu().numpy())
-        found = _solved(self.matrix, damping, torch.cat([bent, self.away]), np.float32)
+        found = _solved(self.matrix, damping, torch.cat([bent, self.away]), np.float32, self.factors)
         if found is None:
             return None
         V = self.factor.shape[0]
@@ -273,16 +279,26 @@ class _Products:
 
 
 def _solved(
-    matrix: Float[Tensor, "n n"], damping: float, right: Float[Tensor, " n"], dtype: type[np.floating[Any]]
+    matrix: Float[Tensor, "n n"],
+    damping: float,
+    right: Float[Tensor, " n"],
+    dtype: type[np.floating[Any]],
+    factors: dict[float, FloatArray],
 ) -> Float[Tensor, " n"] | None:
-    """Return the solution with a symmetric matrix, of which the lower triangle counts, damped relative to its trace."""
-    lower = matrix.cpu().numpy().astype(dtype)
-    lower[np.diag_indices_from(lower)] += damping * np.trace(lower)
+    """Return the solution with a symmetric matrix, of which the lower triangle counts, damped relative to its trace.
+
+    The factor of the last damping is kept for the next solution with the same.
+    """
     single = dtype == np.float32
     factored, solve = (lapack.spotrf, lapack.spotrs) if single else (lapack.dpotrf, lapack.dpotrs)
-    # The triangle below the diagonal is the upper one of the Fortran-ordered view.
-    factor, failed = factored(lower.T, lower=0, overwrite_a=1)
-    if failed:
-        return None
-    found, failed = solve(factor, right.cpu().numpy().astype(dtype), lower=0)
+    if damping not in factors:
+        factors.clear()
+        lower = matrix.cpu().numpy().astype(dtype)
+        lower[np.diag_indices_from(lower)] += damping * np.trace(lower)
+        # The triangle below the diagonal is the upper one of the Fortran-ordered view.
+        factor, failed = factored(lower.T, lower=0, overwrite_a=1)
+        if failed:
+            return None
+        factors[damping] = factor
+    found, failed = solve(factors[damping], right.cpu().numpy().astype(dtype), lower=0)
     return None if failed or not np.isfinite(found).all() else torch.from_numpy(found).double()

@@ -88,7 +88,7 @@ class Back:
                 'method="warp" needs a field of a module, whose values are those of the places that space is warped '
                 'to, but this one is of a decoder with its code. Take method="finite".'
             )
-        chosen = self._centres()
+        chosen = self._centres[0]
         D = precise.dimension
         form = getattr(precise._evaluator, "form", None)
         warp = Warp(module, len(chosen), D, width=self.width * self._spacing, form=form).double()
@@ -104,13 +104,19 @@ class Back:
             parameters=["maps"],
             level=precise.level,
             inside=precise.inside,
-            bounds=precise.bounds.tolist(),
+            bounds=_corners(precise),
             units=precise.units,
             check=False,
         )
 
-    def _centres(self) -> IntArray:
-        """Return the vertices that carry a centre (K,)."""
+    @property
+    def missed(self) -> float:
+        """Root mean square distance over the size between the vertices and where the centres' rotations take them back."""
+        return self._centres[1]
+
+    @cached_property
+    def _centres(self) -> tuple[IntArray, float]:
+        """Vertices that carry a centre (K,), and what their rotations miss."""
         y, x, R = self._moved, self._rest, self.surface_map.rotations
         size = float(np.ptp(x, axis=0).max())
         chosen, apart = [0], np.linalg.norm(y - y[0], axis=1)
@@ -128,13 +134,13 @@ class Back:
             errors = np.linalg.norm(back - x, axis=1) / size
             more = self._worst(errors, here)
             if not more:
-                return here
+                return here, float(np.sqrt((errors**2).mean()))
             chosen += more
 
     def _worst(self, errors: FloatArray, chosen: IntArray) -> list[int]:
         """Return the vertices that a further centre is worth, the worst first and apart from each other."""
         y, least = self._moved, max(ENOUGH, WORTH * float(errors.max()))
-        free = cKDTree(y[chosen]).query(y)[0] > NEAREST * self._spacing
+        free = np.asarray(cKDTree(y[chosen]).query(y)[0]) > NEAREST * self._spacing
         most = max(FIRST, min(MOST, len(y) // EVERY))
         more: list[int] = []
         for v in np.argsort(-errors):
@@ -188,7 +194,12 @@ def all_parameters(warped: Field, field: Field) -> Field:
         parameters=names,
         level=warped.level,
         inside=warped.inside,
-        bounds=warped.bounds.tolist(),
+        bounds=_corners(warped),
         units=warped.units,
         check=False,
     )
+
+
+def _corners(field: Field) -> tuple[list[float], list[float]]:
+    low, high = field.bounds.tolist()
+    return low, high

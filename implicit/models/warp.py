@@ -97,10 +97,11 @@ class Warp(nn.Module):
         Raises:
             TypeError: The module within does not say how it was made.
         """
-        if not hasattr(self.base, "describe"):
+        describe = getattr(self.base, "describe", None)
+        if not callable(describe):
             raise TypeError(f"The {type(self.base).__name__} within a Warp does not say how it was made.")
         count, _, D = self.maps.shape
-        own = {"base": self.base.describe(), "count": count, "dimension": D, "width": self.width}
+        own = {"base": describe(), "count": count, "dimension": D, "width": self.width}
         return {"name": "warp", "arguments": own}
 
 

@@ -10,7 +10,8 @@ cactus bent by 90 degrees takes two thirds of the time, ends 0.1 % lower where t
 the same energy to 1e-6 when its points are shaken by 1 % of its size.
 
 A volume V is held by the multiplier l that makes g - l dV/du least in the metric of L^-1, and by Newton's method back
-to V along L^-1 dV/du after each step: to first order that is the minimiser under the constraint.
+to V along L^-1 dV/du after each step: to first order that is the minimiser under the constraint. With the area held too
+there are two multipliers and two such ways.
 
 Large motions are taken in stages along their path, a few iterations each. They make but a first guess: the energy is
 always that of the rest shape, and nothing of the stages is kept.
@@ -33,6 +34,7 @@ from implicit.step.planar_rigidity import EnclosedArea
 from implicit.step.preconditioned import Descent
 from implicit.step.rotations import best_rotations
 from implicit.step.spokes_and_rims import SpokesAndRims
+from implicit.step.surface_area import SurfaceArea
 
 # Steps that are learned from.
 WINDOW = 8
@@ -46,6 +48,9 @@ HALVINGS = 10
 
 # Part of the energy's largest term within which two energies are the same, for rounding.
 ROUNDING = 1e-14
+
+# Newton steps back to several held values, and how near they come, relative to each.
+RETURNS, RETURNED = 12, 1e-13
 
 # Iterations at each stage of the path but the last.
 STAGE_ITERATIONS = 10
@@ -71,7 +76,8 @@ class Minimum:
         energy: A squared length.
         iterations: How many were taken, those of the stages among them.
         largest_move: Of a vertex in the last iteration, over the size of the rest shape.
-        volume_gap: How far the volume is from the one to hold, relative to that; 0 where none is.
+        volume_gap: How far the volume is from the one to hold, relative to that, or the area where that is held and
+            further off; 0 where none is.
         status: How it ended.
     """
 
@@ -111,6 +117,7 @@ class LocalGlobal:
     def __init__(self, energy: SpokesAndRims, hold: Hold, volume: EnclosedVolume | EnclosedArea | None = None) -> None:
         self._energy = energy
         self.volume = EnclosedVolume(energy.faces, len(energy.vertices)) if volume is None else volume
+        self.area = SurfaceArea(energy.faces, len(energy.vertices))
         self._size = float(np.ptp(energy.vertices, axis=0).max())
         asked = hold.held | (hold.pulls > 0)
         _, piece = csgraph.connected_components(abs(energy.laplacian), directed=False)
@@ -138,6 +145,7 @@ class LocalGlobal:
         iterations: int = 400,
         tolerance: float = 1e-5,
         volume: float | None = None,
+        area: float | None = None,
         report: Report | None = None,
         passed: Callable[[FloatArray], None] | None = None,
     ) -> Minimum:
@@ -151,22 +159,35 @@ class LocalGlobal:
             stage_iterations: Most iterations at each but the last.
             iterations: Most iterations at the goal.
             tolerance: Largest move of a vertex in an iteration, over the size, at which it has converged.
-            volume: To hold; None holds none.
+            volume, area: To hold; None holds none.
             report: Called after each iteration.
             passed: Called with the positions at the end of each stage but the last.
         """
         u, done = start, 0
+        asked = ((self.volume, volume), (self.area, area))
+        held = tuple(_Held(functional, value) for functional, value in asked if value is not None)
         for stage in range(1, stages):
-            run = _Run(self, start, places(stage / stages), volume, tolerance)
+            run = _Run(self, start, places(stage / stages), held, tolerance)
             u = run.take(u, stage_iterations, done, report).u
             done += run.taken
             if passed is not None:
                 passed(u)
-        run = _Run(self, start, places(1.0), volume, tolerance)
+        run = _Run(self, start, places(1.0), held, tolerance)
         end = run.take(u, iterations, done, report)
-        gap = 0.0 if volume is None else abs(self.volume.value(end.u) / volume - 1)
+        gap = max((abs(one.gap(end.u) / one.value) for one in held), default=0.0)
         energy = self._energy.energy(end.u, end.rotations)
         return Minimum(end.u, end.rotations, energy, done + run.taken, end.move, gap, end.status)
+
+
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """A functional of the vertices and the value that it is held at."""
+
+    functional: EnclosedVolume | EnclosedArea | SurfaceArea
+    value: float
+
+    def gap(self, u: FloatArray) -> float:
+        return self.value - self.functional.value(u)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,8 +209,8 @@ class _State:
         rounding: Of it.
         gradient: Half of its gradient at the free vertices (f, 3), without what a held volume takes.
         solved: L^-1 of that (f, 3); its opposite is the move of one iteration of rotations and positions.
-        outward: dV/du at the free vertices and L^-1 of it, (f, 3) each; None where no volume is held.
-        multiplier: Of dV/du, that the gradient is without.
+        outward: Derivatives of the k held values at the free vertices and L^-1 of them, (k, f, 3) each.
+        multipliers: Of these, that the gradient is without (k,).
     """
 
     u: FloatArray
@@ -198,8 +219,8 @@ class _State:
     rounding: float
     gradient: FloatArray
     solved: FloatArray
-    outward: tuple[FloatArray, FloatArray] | None
-    multiplier: float
+    outward: tuple[FloatArray, FloatArray]
+    multipliers: FloatArray
 
     @property
     def finite(self) -> bool:
@@ -215,9 +236,9 @@ class _Run:
     """The iteration towards one set of places."""
 
     def __init__(
-        self, solver: LocalGlobal, start: FloatArray, places: FloatArray, volume: float | None, tolerance: float
+        self, solver: LocalGlobal, start: FloatArray, places: FloatArray, held: tuple[_Held, ...], tolerance: float
     ) -> None:
-        self._solver, self._places, self._volume, self._tolerance = solver, places, volume, tolerance
+        self._solver, self._places, self._held, self._tolerance = solver, places, held, tolerance
         self._fixed = np.where(solver.untouched[:, None], start, places)[solver._held]
         self.taken = 0
 
@@ -250,9 +271,8 @@ class _Run:
     def _step(self, at: _State, memory: Descent) -> _State:
         """Return where a step leads that has been learned, halved until it gains enough; else a plain one."""
         way = memory.direction(at.gradient, at.solved)
-        if at.outward is not None:  # to first order it keeps the volume
-            outward, solved = at.outward
-            way = way - float(np.vdot(outward, way)) / float(np.vdot(outward, solved)) * solved
+        # To first order it keeps what is held.
+        way = way - np.tensordot(_shares(at.outward, way), at.outward[1], axes=1)
         slope = 2 * float(np.vdot(at.gradient, way))
         for halvings in range(HALVINGS):
             part = 0.5**halvings
@@ -264,29 +284,43 @@ class _Run:
         return self._moved(at, -at.solved)
 
     def _learn(self, memory: Descent, at: _State, after: _State) -> None:
-        """Take in what a step changed in the gradient of the energy, less the same multiple of the volume's."""
-        gradient, solved = at.gradient, at.solved
-        if at.outward is not None:
-            other = at.multiplier - after.multiplier
-            gradient, solved = (part + other * out for part, out in zip((gradient, solved), at.outward, strict=True))
+        """Take in what a step changed in the gradient of the energy, less the same multiples of what is held."""
+        other = at.multipliers - after.multipliers
+        gradient, solved = (
+            part + np.tensordot(other, out, axes=1)
+            for part, out in zip((at.gradient, at.solved), at.outward, strict=True)
+        )
         memory.learn((after.u - at.u)[self._solver._free], after.gradient - gradient, after.solved - solved)
 
     def _moved(self, at: _State, way: FloatArray) -> _State:
         u = at.u.copy()
         u[self._solver._free] += way
-        if at.outward is not None and self._volume is not None:
-            u = self._at_volume(u, at.outward[1])
+        if self._held:
+            u = self._returned(u, at.outward[1])
         return self._state(u, at.rotations)
 
-    def _at_volume(self, u: FloatArray, solved: FloatArray) -> FloatArray:
-        """Return positions moved to the volume to hold, along L^-1 dV/du of the place before.
+    def _returned(self, u: FloatArray, solved: FloatArray) -> FloatArray:
+        """Return positions moved to where all is held, along L^-1 of its derivatives at the place before.
 
-        Where the iteration comes to rest both are the same, and the multiplier of dV/du that of the minimum.
+        Where the iteration comes to rest both are the same, and the multipliers those of the minimum.
         """
-        assert self._volume is not None
-        way = np.zeros_like(u)
-        way[self._solver._free] = solved
-        return self._solver.volume.reached(u, way, self._volume)
+        ways = np.zeros((len(solved), *u.shape))
+        ways[:, self._solver._free] = solved
+        first = self._held[0]
+        if len(self._held) == 1 and not isinstance(first.functional, SurfaceArea):
+            return first.functional.reached(u, ways[0], first.value)
+        best, least = u, np.inf
+        for _ in range(RETURNS):
+            gaps = np.array([one.gap(u) for one in self._held])
+            off = float(np.abs(gaps / [one.value for one in self._held]).max())
+            if not off < least:
+                break
+            best, least = u, off
+            if off <= RETURNED:
+                break
+            slopes = np.array([[np.vdot(one.functional.gradient(u), way) for way in ways] for one in self._held])
+            u = u + np.tensordot(np.linalg.lstsq(slopes, gaps)[0], ways, axes=1)
+        return best
 
     def _state(self, u: FloatArray, start: FloatArray | None) -> _State:
         """Return what there is to know at positions (V, 3), with rotations sought from a start."""
@@ -294,19 +328,33 @@ class _Run:
         assert solver._factor is not None
         covariances = energy.covariances(u)
         if not np.isfinite(covariances).all():
-            return _State(u, covariances, np.inf, 0.0, u, u, None, 0.0)
+            none = np.zeros((0, *u.shape))
+            return _State(u, covariances, np.inf, 0.0, u, u, (none, none), np.zeros(0))
         rotations = best_rotations(covariances, start, accuracy=ANGLE)
         spread, pulled = energy.laplacian @ u, u - self._places
         stretched, fitted = float(np.vdot(u, spread)), float(np.einsum("nij,nji->", rotations, covariances))
         value = stretched - 2 * fitted + solver.constant
         value += float(solver._pulls @ (pulled**2).sum(axis=1))
         gradient = (spread - energy.right_hand_side(rotations) + solver._pulls[:, None] * pulled)[solver._free]
-        solved, outward, multiplier = solver._factor.solve(gradient), None, 0.0
-        if self._volume is not None:
-            across = solver.volume.gradient(u)[solver._free]
-            outward = across, solver._factor.solve(across)
-            size = float(np.vdot(across, outward[1]))
-            multiplier = float(np.vdot(across, solved)) / size if size > 0 else 0.0
-            gradient, solved = gradient - multiplier * across, solved - multiplier * outward[1]
+        solved = solver._factor.solve(gradient)
+        across = np.zeros((len(self._held), *gradient.shape))
+        for k, one in enumerate(self._held):
+            across[k] = one.functional.gradient(u)[solver._free]
+        outward = across, np.array([solver._factor.solve(part) for part in across]).reshape(across.shape)
+        multipliers = _shares(outward, solved)
+        gradient, solved = (
+            part - np.tensordot(multipliers, out, axes=1) for part, out in zip((gradient, solved), outward, strict=True)
+        )
         rounding = ROUNDING * (stretched + 2 * abs(fitted) + solver.constant)
-        return _State(u, rotations, value, rounding, gradient, solved, outward, multiplier)
+        return _State(u, rotations, value, rounding, gradient, solved, outward, multipliers)
+
+
+def _shares(outward: tuple[FloatArray, FloatArray], way: FloatArray) -> FloatArray:
+    """Return the shares of each L^-1 dV/du in a way, without which it changes nothing that is held (k,)."""
+    across, solved = outward
+    if not len(across):
+        return np.zeros(0)
+    changes = np.array([np.vdot(part, way) for part in across])
+    sizes = np.array([[np.vdot(part, out) for out in solved] for part in across])
+    # Where a derivative vanishes, or two are the same, the least shares will do.
+    return np.asarray(np.linalg.lstsq(sizes, changes)[0])

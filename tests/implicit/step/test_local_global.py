@@ -7,6 +7,7 @@ import meshref
 from implicit.step.enclosed_volume import EnclosedVolume
 from implicit.step.local_global import Hold, LocalGlobal, MinimumStatus
 from implicit.step.spokes_and_rims import SpokesAndRims
+from implicit.step.surface_area import SurfaceArea
 
 
 @pytest.fixture(scope="module")
@@ -144,3 +145,31 @@ def test_a_bar_that_is_shaken_comes_back_to_the_same_energy(bar, hold_volume):
     again = solver.minimum(places, shaken, tolerance=1e-7, iterations=2000, volume=volume)
     assert again.iterations > 10
     assert again.energy == pytest.approx(found.energy, rel=1e-6)
+
+
+def test_volume_and_area_are_held_together(bar):
+    """Where the gradient is a combination of those of both; bent by a third of a turn, a bar would lose both."""
+    V, F = bar
+    held, places = ends(V, 60)
+    energy, volume, area = SpokesAndRims(V, F), EnclosedVolume(F, len(V)), SurfaceArea(F, len(V))
+    solver = LocalGlobal(energy, Hold(held, nothing(V)))
+    free = solver.minimum(places, V, stages=2, tolerance=1e-9)
+    wanted = volume.value(V), area.value(V)
+    found = solver.minimum(places, V, stages=2, tolerance=1e-9, iterations=2000, volume=wanted[0], area=wanted[1])
+    assert abs(area.value(free.positions) / wanted[1] - 1) > 1e-3
+    assert (volume.value(found.positions), area.value(found.positions)) == pytest.approx(wanted, rel=1e-12)
+    assert found.status is MinimumStatus.CONVERGED
+    assert found.volume_gap < 1e-12
+    free_ones = ~held
+    slopes = energy.gradient(found.positions)[free_ones].ravel()
+    ways = np.stack([one.gradient(found.positions)[free_ones].ravel() for one in (volume, area)], axis=1)
+    left = slopes - ways @ np.linalg.lstsq(ways, slopes, rcond=None)[0]
+    assert np.linalg.norm(left) < 1e-4 * np.linalg.norm(slopes)
+
+
+def test_the_area_of_a_box_and_its_change(bar):
+    V, F = bar
+    area, way, h = SurfaceArea(F, len(V)), np.random.default_rng(0).normal(size=V.shape), 1e-6
+    assert area.value(V + 5.0) == pytest.approx(4 * 0.2 * 1.0 + 2 * 0.2**2)
+    difference = (area.value(V + h * way) - area.value(V - h * way)) / (2 * h)
+    assert np.vdot(area.gradient(V), way) == pytest.approx(difference, rel=1e-6)
