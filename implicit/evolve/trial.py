@@ -191,8 +191,8 @@ def normal_correction(
 
     A step that minimises strain moves far along the surface, and where the normal turns on the way the surface misses
     by ripples that cost more strain than the whole motion. So the rest of the motion is made up by Newton's method:
-    normal motions, each a small least squares, or with motion free at each vertex by the factor of the step again. It
-    stops when a correction no longer halves what is left, or that is negligible; one that makes it more is left out.
+    normal motions, each a small least squares, or with motion free at each vertex by the factor of the step again, until
+    what is left is negligible. It stops when a correction no longer halves that; one that makes it more is left out.
 
     Args:
         problem: Of the step.
@@ -214,7 +214,7 @@ def normal_correction(
             factor, stalled = None, False
         if stalled and size > left:
             return before
-        if number == CORRECTIONS or stalled or size < NEGLIGIBLE * moved_by:
+        if number == CORRECTIONS or stalled or (factor is not None and size < NEGLIGIBLE * moved_by):
             break
         left, before = size, change
         step = _normal_step(problem, factor, field, at, gap, weights)
