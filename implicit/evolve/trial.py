@@ -191,8 +191,8 @@ def normal_correction(
 
     A step that minimises strain moves far along the surface, and where the normal turns on the way the surface misses
     by ripples that cost more strain than the whole motion. So the rest of the motion is made up by Newton's method:
-    normal motions, each a small least squares, or with motion free at each vertex by the factor of the step again, until
-    what is left is negligible. It stops when a correction no longer halves that; one that makes it more is left out.
+    normal motions, each a small least squares, or with motion free at each vertex by the factor of the step again,
+    until what is left is negligible or no longer halved; a correction that makes it more is left out.
 
     Args:
         problem: Of the step.

@@ -111,7 +111,7 @@ class Back:
 
     @property
     def missed(self) -> float:
-        """Root mean square distance over the size between the vertices and where the centres' rotations take them back."""
+        """Root mean square distance of the vertices, over the size, from where the centres take them back."""
         return self._centres[1]
 
     @cached_property
