@@ -130,7 +130,7 @@ def march(field: Field, grid: Grid) -> Crossings:
     if field.dimension == 2:
         index, (corner, along), faces, signs = _march_squares(single, grid)
     else:
-        chunks = near_surface(single, grid)
+        chunks = near_surface(single, grid, None if _has_few_nodes(grid) else steepest_of(field))
         index, (corner, along), faces = _march_chunks(single, grid, chunks)
         signs, steepest = chunks.signs, chunks.steepest
     inside = along.sum(axis=1, keepdims=True) > 1
@@ -231,11 +231,17 @@ def edges_of_places(place: NDArray[np.float64]) -> Edges:
 NUDGE = 4e-3
 
 
-def near_surface(field: Field, grid: Grid) -> Chunks:
-    """Evaluate f from coarse to fine, only where the surface can be (3D)."""
-    if np.prod(grid.nodes, dtype=float) <= FEW_NODES:
+def near_surface(field: Field, grid: Grid, steepest: Steepest | None = None) -> Chunks:
+    """Evaluate f from coarse to fine, only where the surface can be (3D).
+
+    Args:
+        field: The field, in single precision.
+        grid: The grid.
+        steepest: Bound on |df/dx|, where it is known.
+    """
+    if _has_few_nodes(grid):
         return _every_node(field, grid)
-    steepest = Steepest(field)
+    steepest = Steepest(field) if steepest is None else steepest
     if not steepest.holds:
         return _every_node(field, grid)
     cells = torch.tensor(grid.cells, device=field.device)
@@ -268,6 +274,10 @@ def near_surface(field: Field, grid: Grid) -> Chunks:
     crossed = signs.any(dim=1) & ~signs.all(dim=1)
     crossed[owner] = True
     return Chunks(chunks[crossed], middles[crossed], *_node_values(field, grid, blocks, steepest), steepest)
+
+
+def _has_few_nodes(grid: Grid) -> bool:
+    return bool(np.prod(grid.nodes, dtype=float) <= FEW_NODES)
 
 
 def _every_node(field: Field, grid: Grid) -> Chunks:
@@ -499,6 +509,20 @@ class Steepest:
             self._bounds[around] = pooled.view(-1)
         index = ((points - self._lower) / self._step).round().long().clamp(0, self.nodes - 1)
         return self._bounds[around].index_select(0, (index * self._strides).sum(dim=1))
+
+
+def steepest_of(field: Field) -> Steepest:
+    """Return the bound of a field in single precision, found once for its present parameters."""
+    if field.theta.is_inference():  # such tensors do not say whether they were written to
+        return Steepest(field.to(torch.float32))
+    version = field.theta._version
+    theta, before, bound = field.findings.get("steepest", (None, 0, None))
+    # A function that is no module may have changed since, whatever theta.
+    if bound is None or theta is not field.theta or before != version or field._evaluator.module is None:
+        bound = Steepest(field.to(torch.float32))
+        field.findings["steepest"] = field.theta, version, bound
+    assert isinstance(bound, Steepest)
+    return bound
 
 
 # In the plane: all at once
