@@ -185,6 +185,7 @@ class OfModule(_InForm):
         self._frozen, self._layout, self._form = frozen, layout, form
         named = dict(self.module.named_parameters())
         self._places = [frozen.places(named[block.name]) for block in layout]
+        self._sizes = [block.shape.numel() for block in layout]
         frozen.forget()
 
     def __call__(self, theta: Tensor, points: Tensor) -> Tensor:
@@ -192,7 +193,8 @@ class OfModule(_InForm):
 
     def raw(self, theta: Tensor, points: Tensor) -> Any:
         """Return all that the module gives."""
-        edited = [theta[block.where].view(block.shape) for block in self._layout]
+        parts = theta.split(self._sizes)
+        edited = [part.view(block.shape) for part, block in zip(parts, self._layout, strict=True)]
         return self._frozen(zip(self._places, edited, strict=True), *self._form.arguments(points))
 
     def with_values(self, values: Mapping[str, Tensor], *arguments: Any) -> Any:

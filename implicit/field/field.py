@@ -226,7 +226,7 @@ class Field:
         """Return f at the points, in chunks and without a graph; negative inside."""
         points = self.require_points(points)
         with torch.no_grad():
-            return torch.cat([self.function(self.theta, part) for part in _chunks(points)])
+            return _joined([self.function(self.theta, part) for part in _chunks(points)])
 
     def gradient(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
         """Return df/dx at the points."""
@@ -252,7 +252,7 @@ class Field:
                     (g,) = torch.autograd.grad(f.sum(), x)
                 values.append(f.detach())
                 gradients.append(g)
-        return torch.cat(values), torch.cat(gradients)
+        return _joined(values), _joined(gradients)
 
     def hessian(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n d d"]:
         """Return d2f/dx2 at the points, symmetric.
@@ -420,4 +420,8 @@ def require_field(field: Field) -> Field:
 def _chunks(points: Tensor) -> Iterator[Tensor]:
     """Return parts that are evaluated at once; one empty part for no rows, so that shapes survive."""
     most = CHUNK_IN_CACHE if points.device.type == "cpu" else CHUNK
-    return iter(points.split(most)) if points.shape[0] else iter([points])
+    return iter(points.split(most)) if points.shape[0] > most else iter([points])
+
+
+def _joined(parts: list[Tensor]) -> Tensor:
+    return parts[0] if len(parts) == 1 else torch.cat(parts)

@@ -66,11 +66,12 @@ class Mlp(nn.Module):
 
     def forward(self, points: Float[Tensor, "n d"]) -> Float[Tensor, " n"]:
         """Return the values at the points."""
+        *hidden, last = self.layers  # a slice would be a new list of modules each time
         h = points
-        for layer in self.layers[:-1]:
+        for layer in hidden:
             h = layer(h)
             h = torch.relu(h) if self.activation == "relu" else nn.functional.softplus(h, self.sharpness)
-        return self.layers[-1](h).squeeze(-1)
+        return last(h).squeeze(-1)
 
     def describe(self) -> dict[str, Any]:
         """Return the name and the arguments that make this network again."""

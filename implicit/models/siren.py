@@ -68,10 +68,11 @@ class Siren(nn.Module):
 
     def forward(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n ..."]:
         """Return the values at the points."""
+        *hidden, last = self.layers  # a slice would be a new list of modules each time
         h = points
-        for k, layer in enumerate(self.layers[:-1]):
+        for k, layer in enumerate(hidden):
             h = self.activate(k, layer(h))
-        return self.layers[-1](h).squeeze(-1)
+        return last(h).squeeze(-1)
 
     def activate(self, layer: int, z: Tensor) -> Tensor:
         """Return the sine after a hidden layer."""

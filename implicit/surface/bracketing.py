@@ -103,8 +103,8 @@ def _cut(
     values = torch.cat([at_start[:, None], found, at_end[:, None]], dim=1)
     other = (values < 0) != (at_start < 0)[:, None]
     last = other.int().argmax(dim=1)
-    before, there = (values.gather(1, end[:, None])[:, 0] for end in (last - 1, last))
-    return shares[last - 1], shares[last], before, there
+    at_both = values.gather(1, torch.stack([last - 1, last], dim=1))
+    return shares[last - 1], shares[last], at_both[:, 0], at_both[:, 1]
 
 
 def _narrow(

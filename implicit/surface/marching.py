@@ -97,6 +97,7 @@ class Crossings:
         outward: Unit vector along the edge from its end with f < 0 to the other; zero of the few inside a cell (N, D).
         faces: Triangles (M, 3) or segments (M, 2) that join the points.
         signs: At each node of the grid the sign of f, zero where the surface is far; its size says no more.
+        steepest: Bound on |df/dx| that was found for the march; None where all nodes were evaluated.
     """
 
     points: Float[Tensor, "n d"]
@@ -105,6 +106,7 @@ class Crossings:
     outward: Float[Tensor, "n d"]
     faces: Int[Tensor, "m d"]
     signs: Int8[Tensor, "*nodes"]
+    steepest: Steepest | None = None
 
     def only(self, which: Bool[Tensor, " n"]) -> Crossings:
         """Return some of the crossings, joined by nothing."""
@@ -124,13 +126,19 @@ def march(field: Field, grid: Grid) -> Crossings:
     """
     # One dtype for all: what is rounded differently for two neighbours could give a node two signs.
     single = field.to(torch.float32)
-    index, (corner, along), faces, signs = (_march_squares if field.dimension == 2 else _march_chunks)(single, grid)
+    steepest = None
+    if field.dimension == 2:
+        index, (corner, along), faces, signs = _march_squares(single, grid)
+    else:
+        chunks = near_surface(single, grid, None if _has_few_nodes(grid) else steepest_of(field))
+        index, (corner, along), faces = _march_chunks(single, grid, chunks)
+        signs, steepest = chunks.signs, chunks.steepest
     inside = along.sum(axis=1, keepdims=True) > 1
     ends = (np.where(inside, index, end) for end in (corner, corner + along))
     place, lower, upper = (grid.lower + torch.from_numpy(x).to(grid.lower) * grid.cell for x in (index, *ends))
     sides = signs[tuple(torch.from_numpy(corner.T).to(signs.device))].sign().to(grid.lower)
     outward = torch.from_numpy(along & ~inside).to(grid.lower) * -sides[:, None]
-    return Crossings(place, lower, upper, outward, torch.from_numpy(faces).to(field.device), signs)
+    return Crossings(place, lower, upper, outward, torch.from_numpy(faces).to(field.device), signs, steepest)
 
 
 # In space: chunk by chunk
@@ -144,6 +152,7 @@ class Chunks:
     blocks: Float[Tensor, "c 16 16 16"]  # in each chunk, f at the middle of the last block that holds the node
     values: Float[Tensor, "x y z"]  # of the whole grid, filled where near
     signs: Int8[Tensor, "x y z"]  # zero where not near
+    steepest: Steepest | None = None
 
     def __iter__(self) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float32]]]:
         """First node and values of each chunk."""
@@ -168,11 +177,10 @@ def _spread(blocks: NDArray[np.float32], nodes: tuple[int, ...]) -> NDArray[np.f
     return chunk[: x + 1, : y + 1, : z + 1]
 
 
-def _march_chunks(field: Field, grid: Grid) -> tuple[NDArray[np.float64], Edges, NDArray[np.int64], Tensor]:
-    """Vertices in units of the grid with their edges, triangles with outward normals, and the signs at the nodes."""
+def _march_chunks(field: Field, grid: Grid, chunks: Chunks) -> tuple[NDArray[np.float64], Edges, NDArray[np.int64]]:
+    """Vertices in units of the grid with their edges, and triangles with outward normals."""
     places, triangles = [], []
     count = 0
-    chunks = near_surface(field, grid)
     for start, values in chunks:
         if values.min() >= 0 or values.max() < 0:
             continue
@@ -187,7 +195,7 @@ def _march_chunks(field: Field, grid: Grid) -> tuple[NDArray[np.float64], Edges,
     corner, along = edges_of_places(place)
     # A vertex between two chunks is found by both; they agree on its edge.
     _, first, merged = np.unique(_edge_keys(corner, along, grid.nodes), return_index=True, return_inverse=True)
-    return place[first], (corner[first], along[first]), merged[np.concatenate(triangles)], chunks.signs
+    return place[first], (corner[first], along[first]), merged[np.concatenate(triangles)]
 
 
 def _edge_keys(corner: NDArray[np.int64], along: NDArray[np.bool_], nodes: tuple[int, ...]) -> NDArray[np.int64]:
@@ -223,11 +231,17 @@ def edges_of_places(place: NDArray[np.float64]) -> Edges:
 NUDGE = 4e-3
 
 
-def near_surface(field: Field, grid: Grid) -> Chunks:
-    """Evaluate f from coarse to fine, only where the surface can be (3D)."""
-    if np.prod(grid.nodes, dtype=float) <= FEW_NODES:
+def near_surface(field: Field, grid: Grid, steepest: Steepest | None = None) -> Chunks:
+    """Evaluate f from coarse to fine, only where the surface can be (3D).
+
+    Args:
+        field: The field, in single precision.
+        grid: The grid.
+        steepest: Bound on |df/dx|, where it is known.
+    """
+    if _has_few_nodes(grid):
         return _every_node(field, grid)
-    steepest = _Steepest(field)
+    steepest = Steepest(field) if steepest is None else steepest
     if not steepest.holds:
         return _every_node(field, grid)
     cells = torch.tensor(grid.cells, device=field.device)
@@ -259,7 +273,11 @@ def near_surface(field: Field, grid: Grid) -> Chunks:
     signs = middles.flatten(1) < 0
     crossed = signs.any(dim=1) & ~signs.all(dim=1)
     crossed[owner] = True
-    return Chunks(chunks[crossed], middles[crossed], *_node_values(field, grid, blocks, steepest))
+    return Chunks(chunks[crossed], middles[crossed], *_node_values(field, grid, blocks, steepest), steepest)
+
+
+def _has_few_nodes(grid: Grid) -> bool:
+    return bool(np.prod(grid.nodes, dtype=float) <= FEW_NODES)
 
 
 def _every_node(field: Field, grid: Grid) -> Chunks:
@@ -299,7 +317,7 @@ def _nudge_by_differences(values: Float[Tensor, "x y z"]) -> None:
     values[near] = (1 - 2 * (found < 0).to(torch.int8)) * found.abs().maximum(least)
 
 
-def _nudged(field: Field, grid: Grid, points: Float[Tensor, "n 3"], steepest: _Steepest) -> Float[Tensor, " n"]:
+def _nudged(field: Field, grid: Grid, points: Float[Tensor, "n 3"], steepest: Steepest) -> Float[Tensor, " n"]:
     """Return f at nodes of the grid, moved away from zero where it is nearer to it than NUDGE."""
     found = _finite(field.value(points))
     least = NUDGE * grid.cell / GRADIENT_SAFETY * steepest.at(points)
@@ -317,7 +335,7 @@ class _Blocks:
     near: Bool[Tensor, " n"]  # true where the surface may run through the block
 
     @classmethod
-    def evaluate(cls, field: Field, grid: Grid, index: Int[Tensor, "n 3"], side: int, steepest: _Steepest) -> _Blocks:
+    def evaluate(cls, field: Field, grid: Grid, index: Int[Tensor, "n 3"], side: int, steepest: Steepest) -> _Blocks:
         first = index * side
         cells = torch.tensor(grid.cells, device=index.device)
         last = torch.minimum(first + side, cells)
@@ -338,7 +356,7 @@ UNTOLD = 3
 
 
 def _node_values(
-    field: Field, grid: Grid, blocks: _Blocks, steepest: _Steepest
+    field: Field, grid: Grid, blocks: _Blocks, steepest: Steepest
 ) -> tuple[Float[Tensor, "x y z"], Int8[Tensor, "x y z"]]:
     """f at the nodes of the blocks that are near, and its sign there, which elsewhere is zero.
 
@@ -424,18 +442,26 @@ def _told_by_blocks(
     return torch.cat(nodes)
 
 
-def node_values(field: Field, grid: Grid) -> Callable[[NDArray[np.int64]], NDArray[np.float32]]:
-    """Return a function that gives f at nodes of a grid from their index, moved away from zero as in a march."""
-    steepest = _Steepest(field)
+def node_values(
+    field: Field, grid: Grid, steepest: Steepest | None = None
+) -> Callable[[NDArray[np.int64]], NDArray[np.float32]]:
+    """Return a function that gives f at nodes of a grid from their index, moved away from zero as in a march.
+
+    Args:
+        field: The field, in single precision.
+        grid: The grid.
+        steepest: Bound on |df/dx| from a march, where there is one.
+    """
+    bound = Steepest(field) if steepest is None else steepest
 
     def values(index: NDArray[np.int64]) -> NDArray[np.float32]:
         points = grid.place(torch.from_numpy(index).to(field.device)).to(field.dtype)
-        return _nudged(field, grid, points, steepest).cpu().numpy()
+        return _nudged(field, grid, points, bound).cpu().numpy()
 
     return values
 
 
-class _Steepest:
+class Steepest:
     """A bound on |df/dx| near a point: the largest at the nodes of a coarse grid about it, with the safety factor.
 
     Over a block the bound is that of all nodes in it and of the next ones: a truncated distance is level at the middle
@@ -483,6 +509,20 @@ class _Steepest:
             self._bounds[around] = pooled.view(-1)
         index = ((points - self._lower) / self._step).round().long().clamp(0, self.nodes - 1)
         return self._bounds[around].index_select(0, (index * self._strides).sum(dim=1))
+
+
+def steepest_of(field: Field) -> Steepest:
+    """Return the bound of a field in single precision, found once for its present parameters."""
+    if field.theta.is_inference():  # such tensors do not say whether they were written to
+        return Steepest(field.to(torch.float32))
+    version = field.theta._version
+    theta, before, bound = field.findings.get("steepest", (None, 0, None))
+    # A function that is no module may have changed since, whatever theta.
+    if bound is None or theta is not field.theta or before != version or field._evaluator.module is None:
+        bound = Steepest(field.to(torch.float32))
+        field.findings["steepest"] = field.theta, version, bound
+    assert isinstance(bound, Steepest)
+    return bound
 
 
 # In the plane: all at once

@@ -69,7 +69,7 @@ class RefinedGrid:
         self.flags = np.zeros(grid.cells, dtype=bool)
         self._marched, self._signs = marched, marched.signs.cpu().numpy()
         fine = Grid(grid.lower, grid.cell / FACTOR, tuple(FACTOR * count for count in grid.cells))
-        self._value = node_values(field.to(torch.float32), fine)
+        self._value = node_values(field.to(torch.float32), fine, marched.crossings.steepest)
         self._nodes = fine.nodes
         self._index = np.empty((0, 3), dtype=np.int64)
         self._values = np.empty((0, SIDE, SIDE, SIDE), dtype=np.float32)
