@@ -303,8 +303,8 @@ class VertexFactor(Factor):
         Args:
             enough: Whether to stop, of c, what is left of y, S S^T c, and that motion.
         """
-        # At what the factored inverse makes of y, as it is, the speeds are near already. The best multiple of it for the
-        # dual energy, where conjugate gradients from zero would begin, is not nearly as good for the energy itself.
+        # At what the factored inverse makes of y the speeds are near already. Conjugate gradients from zero would begin
+        # at the multiple of it that is the best for the dual energy, which is not nearly as good for the energy itself.
         c = self._precondition(y)
         image = self._equations.products(c)
         yielding, along = self._compliant(c)
