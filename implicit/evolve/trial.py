@@ -31,11 +31,9 @@ PRECISION = {torch.float32: 4e-6, torch.float64: 4e-12}
 # Corrections after a step whose surface is to go just where the linear model sends it.
 CORRECTIONS = 4
 
-# Part of the motion, squared, below which what is left to correct costs no strain worth a correction.
-NEGLIGIBLE = 1e-6
-
-# The same above which least squares of their own make up what the factor of the step leaves.
-WORTH = 1e-4
+# Part of the motion, squared, to which the factor of a step corrects it: what is left costs no strain worth more. And
+# above which least squares of their own make up what that factor leaves.
+NEGLIGIBLE, WORTH = 1e-6, 1e-4
 
 # Of a step's motion: what it leaves undone is no reason to let it miss its prediction by more than this.
 UNDONE = 0.2
@@ -192,7 +190,7 @@ def normal_correction(
     A step that minimises strain moves far along the surface, and where the normal turns on the way the surface misses
     by ripples that cost more strain than the whole motion. So the rest of the motion is made up by Newton's method:
     normal motions, each a small least squares, or with motion free at each vertex by the factor of the step again. It
-    stops when a correction no longer halves what is left, or that is negligible; one that makes it more is left out.
+    stops when a correction no longer halves what is left; one that makes it more is left out.
 
     Args:
         problem: Of the step.
@@ -214,7 +212,7 @@ def normal_correction(
             factor, stalled = None, False
         if stalled and size > left:
             return before
-        if number == CORRECTIONS or stalled or size < NEGLIGIBLE * moved_by:
+        if number == CORRECTIONS or stalled or (factor is not None and size < NEGLIGIBLE * moved_by):
             break
         left, before = size, change
         step = _normal_step(problem, factor, field, at, gap, weights)
