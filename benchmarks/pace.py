@@ -200,7 +200,7 @@ ROWS: dict[str, Row] = {
         "of a step from a field whose soundness is known a third is the soundness after it, on 128 cells; a twelfth "
         "the connection of the points; the rest is linear algebra of 2000 points and 500 off the surface: the factor "
         "of the mesh's energy, that of 2500 products of sensitivities (5e9 operations), these products, each about a "
-        "tenth. With the products a tenth as many the energy would be 6 % higher",
+        "tenth. Half as many points take 0.7 of the time and leave 8 % more energy",
     ),
     "smoothing": Row(
         smoothing,

@@ -31,11 +31,9 @@ PRECISION = {torch.float32: 4e-6, torch.float64: 4e-12}
 # Corrections after a step whose surface is to go just where the linear model sends it.
 CORRECTIONS = 4
 
-# Part of the motion, squared, below which what is left to correct costs no strain worth a correction.
-NEGLIGIBLE = 1e-6
-
-# The same above which least squares of their own make up what the factor of the step leaves.
-WORTH = 1e-4
+# Part of the motion, squared, to which the factor of a step corrects it: what is left costs no strain worth more. And
+# above which least squares of their own make up what that factor leaves.
+NEGLIGIBLE, WORTH = 1e-6, 1e-4
 
 # Of a step's motion: what it leaves undone is no reason to let it miss its prediction by more than this.
 UNDONE = 0.2
@@ -191,8 +189,8 @@ def normal_correction(
 
     A step that minimises strain moves far along the surface, and where the normal turns on the way the surface misses
     by ripples that cost more strain than the whole motion. So the rest of the motion is made up by Newton's method:
-    normal motions, each a small least squares, or with motion free at each vertex by the factor of the step again,
-    until what is left is negligible or no longer halved; a correction that makes it more is left out.
+    normal motions, each a small least squares, or with motion free at each vertex by the factor of the step again. It
+    stops when a correction no longer halves what is left; one that makes it more is left out.
 
     Args:
         problem: Of the step.

@@ -303,8 +303,12 @@ class VertexFactor(Factor):
         Args:
             enough: Whether to stop, of c, what is left of y, S S^T c, and that motion.
         """
-        c, image, left = torch.zeros_like(y), torch.zeros_like(y), y.clone()
-        along = torch.zeros_like(self._equations.space.axes[:, 0, :2])
+        # At what the factored inverse makes of y the speeds are near already. Conjugate gradients from zero would begin
+        # at the multiple of it that is the best for the dual energy, which is not nearly as good for the energy itself.
+        c = self._precondition(y)
+        image = self._equations.products(c)
+        yielding, along = self._compliant(c)
+        left = y - image - self._damping * yielding
         toward = direction = self._precondition(left)
         square = float(left @ toward)
         for _ in range(ITERATIONS):
