@@ -3,11 +3,11 @@
     f(x) = g(phi(x)),      phi(x) = sum_k w_k(x) (q_k + A_k (x - c_k)),      w_k ~ (1 + |x - c_k|^2 / (8 s^2))^-4
 
 phi takes a place of the moved shape to where it came from: an affine map about each centre c_k, blended by weights that
-are a partition of unity. Where the maps about a place are one and the same phi is that map, and exactly so: what moves
-rigidly keeps the surface of g in all its detail, whatever g can express. Near the centres the weights fall like
-Gaussians of width s; far from them they spread with the distance, so that the space between two parts goes over from
-one to the other smoothly. What is warped out of the bounds of g counts as on their border, for beyond them g says
-nothing.
+are a partition of unity. Where the maps about a place are one and the same phi is that map, but for the little that far
+ones have in it: what moves rigidly keeps the surface of g in all its detail, whatever g can express. Near the centres
+the weights fall like Gaussians of width s; far from them they spread with the distance, so that the space between two
+parts goes over from one to the other smoothly. What is warped out of the bounds of g counts as on their border, for
+beyond them g says nothing.
 """
 
 from __future__ import annotations
