@@ -23,6 +23,9 @@ from implicit.arguments import require_positive, require_whole
 from implicit.field.forms import Form
 from implicit.models.registry import build, register
 
+# Points at a time whose weights stay in the cache.
+CHUNK = 1024
+
 
 class Warp(nn.Module):
     """Module from points (N, D) to the values of another one in warped space (N,).
@@ -66,22 +69,28 @@ class Warp(nn.Module):
         self.register_buffer("centres", torch.zeros(count, dimension))
         self.register_buffer("bounds", torch.tensor([[-1.0], [1.0]]).expand(2, dimension).clone())
 
+    def _shares(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n k"]:
+        """Return the weights up to a factor each point, in few passes over memory: that is what a warp costs."""
+        c, scale = self.centres, 1 / (8 * self.width**2)
+        here = torch.cat([points, (points**2).sum(dim=1, keepdim=True), torch.ones_like(points[:, :1])], dim=1)
+        there = torch.cat([-2 * scale * c, torch.full_like(c[:, :1], scale), 1 + scale * (c**2).sum(1, True)], dim=1)
+        grown: Tensor = here @ there.T
+        return grown.reciprocal().square().square()  # a power costs ten times as much
+
     def weights(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n k"]:
         """Return the share of each centre at the points."""
-        c = self.centres
-        apart = (points**2).sum(dim=1, keepdim=True) - 2 * points @ c.T + (c**2).sum(dim=1)
-        grown = 1 + apart.clamp(min=0) / (8 * self.width**2)
-        # Over that of the nearest, so that no power vanishes; squared twice, for a power costs ten times as much.
-        near = (grown.amin(dim=1, keepdim=True).detach() / grown).square().square()
-        return near / near.sum(dim=1, keepdim=True)
+        shares = self._shares(points)
+        return shares / shares.sum(dim=1, keepdim=True)
 
     def warped(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
         """Return phi, where the points came from."""
         count, rows, D = self.maps.shape
         turned = self.maps[:, :D]
         shifts = self.maps[:, D] - (self.centres[:, None] @ turned)[:, 0]
-        here = self.weights(points) @ torch.cat([turned, shifts[:, None]], dim=1).reshape(count, rows * D)
-        blended = here.reshape(len(points), rows, D)
+        maps = torch.cat([turned, shifts[:, None]], dim=1).reshape(count, rows * D)
+        maps = torch.cat([maps, torch.ones_like(maps[:, :1])], dim=1)
+        summed = torch.cat([self._shares(part) @ maps for part in points.split(CHUNK)])
+        blended = (summed[:, :-1] / summed[:, -1:]).reshape(len(points), rows, D)
         return (points[:, None] @ blended[:, :D])[:, 0] + blended[:, D]
 
     def forward(self, points: Float[Tensor, "n d"]) -> Tensor:
