@@ -10,8 +10,9 @@ coordinate, to
     phi(p) = x_n + R_n^T (p - y_n)            at points p near the surface, n its nearest vertex
     phi(p) = as the rotations of the centres have it                 far from it, where what counts is the sign of f
 
-What moves rigidly has one and the same map everywhere and keeps its surface exactly, however rough that is; there a
-network that is trained ripples, for it does not express the same surface in another place.
+What moves rigidly has one and the same map everywhere and keeps its surface, however rough that is, but for the little
+that far centres have in it; there a network that is trained ripples, for it does not express the same surface in
+another place.
 """
 
 from __future__ import annotations
@@ -111,7 +112,7 @@ class Back:
 
     @property
     def missed(self) -> float:
-        """Root mean square distance of the vertices, over the size, from where the centres take them back."""
+        """Root mean square error, over the size, of the vertices as the centres' rotations alone take them back."""
         return self._centres[1]
 
     @cached_property

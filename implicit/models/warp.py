@@ -3,11 +3,11 @@
     f(x) = g(phi(x)),      phi(x) = sum_k w_k(x) (q_k + A_k (x - c_k)),      w_k ~ (1 + |x - c_k|^2 / (8 s^2))^-4
 
 phi takes a place of the moved shape to where it came from: an affine map about each centre c_k, blended by weights that
-are a partition of unity. Where the maps about a place are one and the same phi is that map, and exactly so: what moves
-rigidly keeps the surface of g in all its detail, whatever g can express. Near the centres the weights fall like
-Gaussians of width s; far from them they spread with the distance, so that the space between two parts goes over from
-one to the other smoothly. What is warped out of the bounds of g counts as on their border, for beyond them g says
-nothing.
+are a partition of unity. Where the maps about a place are one and the same phi is that map, but for the little that far
+ones have in it: what moves rigidly keeps the surface of g in all its detail, whatever g can express. Near the centres
+the weights fall like Gaussians of width s; far from them they spread with the distance, so that the space between two
+parts goes over from one to the other smoothly. What is warped out of the bounds of g counts as on their border, for
+beyond them g says nothing.
 """
 
 from __future__ import annotations
@@ -22,6 +22,9 @@ from torch import Tensor, nn
 from implicit.arguments import require_positive, require_whole
 from implicit.field.forms import Form
 from implicit.models.registry import build, register
+
+# Points at a time whose weights stay in the cache.
+CHUNK = 1024
 
 
 class Warp(nn.Module):
@@ -66,22 +69,28 @@ class Warp(nn.Module):
         self.register_buffer("centres", torch.zeros(count, dimension))
         self.register_buffer("bounds", torch.tensor([[-1.0], [1.0]]).expand(2, dimension).clone())
 
+    def _shares(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n k"]:
+        """Return the weights up to a factor each point, in few passes over memory: that is what a warp costs."""
+        c, scale = self.centres, 1 / (8 * self.width**2)
+        here = torch.cat([points, (points**2).sum(dim=1, keepdim=True), torch.ones_like(points[:, :1])], dim=1)
+        there = torch.cat([-2 * scale * c, torch.full_like(c[:, :1], scale), 1 + scale * (c**2).sum(1, True)], dim=1)
+        grown: Tensor = here @ there.T
+        return grown.reciprocal().square().square()  # a power costs ten times as much
+
     def weights(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n k"]:
         """Return the share of each centre at the points."""
-        c = self.centres
-        apart = (points**2).sum(dim=1, keepdim=True) - 2 * points @ c.T + (c**2).sum(dim=1)
-        grown = 1 + apart.clamp(min=0) / (8 * self.width**2)
-        # Over that of the nearest, so that no power vanishes; squared twice, for a power costs ten times as much.
-        near = (grown.amin(dim=1, keepdim=True).detach() / grown).square().square()
-        return near / near.sum(dim=1, keepdim=True)
+        shares = self._shares(points)
+        return shares / shares.sum(dim=1, keepdim=True)
 
     def warped(self, points: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
         """Return phi, where the points came from."""
         count, rows, D = self.maps.shape
         turned = self.maps[:, :D]
         shifts = self.maps[:, D] - (self.centres[:, None] @ turned)[:, 0]
-        here = self.weights(points) @ torch.cat([turned, shifts[:, None]], dim=1).reshape(count, rows * D)
-        blended = here.reshape(len(points), rows, D)
+        maps = torch.cat([turned, shifts[:, None]], dim=1).reshape(count, rows * D)
+        maps = torch.cat([maps, torch.ones_like(maps[:, :1])], dim=1)
+        summed = torch.cat([self._shares(part) @ maps for part in points.split(CHUNK)])
+        blended = (summed[:, :-1] / summed[:, -1:]).reshape(len(points), rows, D)
         return (points[:, None] @ blended[:, :D])[:, 0] + blended[:, D]
 
     def forward(self, points: Float[Tensor, "n d"]) -> Tensor:

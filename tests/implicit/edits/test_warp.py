@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from implicit import (
+    Area,
     Field,
     HalfSpace,
     Handle,
@@ -24,7 +25,9 @@ from implicit import (
 from implicit.edits import finite_rigid
 from implicit.evolve.edit import EditStatus
 from implicit.models.warp import Warp
+from implicit.step.enclosed_volume import EnclosedVolume
 from implicit.step.spokes_and_rims import SpokesAndRims
+from implicit.step.surface_area import SurfaceArea
 
 FOOT = Handle(HalfSpace((0, -0.4, 0), (0, -1, 0)), (0.0, 0.0, 0.0))
 TIP = HalfSpace((0, 0.4, 0), (0, 1, 0))
@@ -123,12 +126,18 @@ def _undone():
     return Handle(HalfSpace(place, (math.sin(ANGLE), math.cos(ANGLE), 0)), back)
 
 
-def test_the_volume_is_held_in_warped_space_too(rod):
-    handles = [FOOT, Handle(TIP, BEND)]
-    edit = rigid_edit(rod, handles, method="warp", constraints=[Volume()], points=300, resolution=24)
-    before, after = (integrate(field.to(torch.float64), Volume(), 96).value for field in (rod, edit.field))
+@pytest.mark.nightly
+def test_volume_and_area_are_held_by_the_points_and_then_by_the_field(rod):
+    handles, held = [FOOT, Handle(TIP, BEND)], [Volume(), Area()]
+    edit = rigid_edit(rod, handles, method="warp", constraints=held, points=300, resolution=24)
     assert edit.status is EditStatus.DONE
-    assert after == pytest.approx(before, rel=1e-6)
+    rest, moved = edit.deformation.rest.energy.vertices, edit.deformation.positions
+    faces = edit.deformation.rest.energy.faces
+    for measure in (EnclosedVolume(faces, len(rest)), SurfaceArea(faces, len(rest))):
+        assert measure.value(moved) == pytest.approx(measure.value(rest), rel=1e-12)
+    for functional in held:
+        before, after = (integrate(field.to(torch.float64), functional, 96).value for field in (rod, edit.field))
+        assert after == pytest.approx(before, rel=1e-5)
 
 
 def test_a_decoder_with_its_code_is_refused():
