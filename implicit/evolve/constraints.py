@@ -130,13 +130,10 @@ class Measurement:
     Attributes:
         surface: The quadrature and its mesh.
         values: Of each functional.
-        gradients: Derivatives of the values by the parameters (M, P), of this surface or of one that is a small part of
-            a cell from it; None where they are not known.
     """
 
     surface: MeshedSample
     values: tuple[float, ...]
-    gradients: Float[Tensor, "m p"] | None = None
 
     @property
     def sample(self) -> SurfaceSample:
@@ -374,9 +371,7 @@ class ConstraintSet:
         Where the surface has moved too far for that it is meshed anew.
         """
         surface = carried(field, before.surface)
-        if surface is None:
-            return self.measure(field, cells=cells)
-        return replace(self._on(field, surface), gradients=before.gradients)
+        return self.measure(field, cells=cells) if surface is None else self._on(field, surface)
 
     def _on(self, field: Field, surface: MeshedSample) -> Measurement:
         return Measurement(surface, tuple(c.value_on(field, surface) for c in self.functionals))
@@ -440,9 +435,8 @@ class ConstraintSet:
         gap = [t - v for t, v in zip(self.targets, measured.values, strict=True)]
         if curved:
             gap = [g - c for g, c in zip(gap, curved, strict=True)]
-        gradients = self._gradients(field, measured) if measured.gradients is None else measured.gradients
         return LinearConstraints(
-            _over_unknowns(gradients, space),
+            self._sensitivities(field, space, measured),
             like.new_tensor(gap),
             like.new_tensor(self._signs),
             like.new_tensor(self.scales),
@@ -470,12 +464,14 @@ class ConstraintSet:
         gaps = [t - v for t, v in zip(self.targets, measured.values, strict=True)]
         return [g if s == 0 or g * s > 0 else 0.0 for g, s in zip(gaps, self._signs, strict=True)]
 
-    def _gradients(self, field: Field, measured: Measurement) -> Float[Tensor, "m p"]:
-        """Return the derivatives of the functionals by the parameters."""
+    def _sensitivities(self, field: Field, space: DeformationSpace, measured: Measurement) -> Float[Tensor, "m n"]:
         steering = _steering(measured.sample)
         lengths = field.gradient_length(field.gradient(steering.points))
-        densities = (steering.weights * c.shape_gradient(field, steering) for c in self.functionals)
-        return torch.stack([adjoint(field, steering.points, density, lengths) for density in densities])
+        C = field.theta.new_zeros(len(self.functionals), space.size)
+        for k, constraint in enumerate(self.functionals):
+            density = steering.weights * constraint.shape_gradient(field, steering)
+            C[k, : space.parameters] = space.basis.transposed(adjoint(field, steering.points, density, lengths))
+        return C
 
     def restore(
         self,
@@ -519,8 +515,7 @@ class ConstraintSet:
             if gap > 0.5 * last:
                 break  # rounding sets a floor
             if C is None or gap > 0.1 * last:
-                gradients = self._gradients(moved, measured)
-                measured, C = replace(measured, gradients=gradients), _over_unknowns(gradients, space)
+                C = self._sensitivities(moved, space, measured)
             last = gap
             gaps = field.theta.new_tensor(self._gaps(measured))
             held = (gaps != 0) | (gaps.new_tensor(self._signs) == 0)
@@ -579,13 +574,6 @@ def _names(functionals: Sequence[Functional], columns: Sequence[str]) -> tuple[s
                 "Give its class another name, or a `name` of its own."
             )
     return tuple(names)
-
-
-def _over_unknowns(gradients: Float[Tensor, "m p"], space: DeformationSpace) -> Float[Tensor, "m n"]:
-    """Return derivatives by the parameters as those by the unknowns of a step."""
-    C = gradients.new_zeros(len(gradients), space.size)
-    C[:, : space.parameters] = torch.stack([space.basis.transposed(gradient) for gradient in gradients])
-    return C
 
 
 def _steering(sample: SurfaceSample) -> SurfaceSample:

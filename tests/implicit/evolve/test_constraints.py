@@ -129,6 +129,22 @@ def test_the_row_of_a_constraint_leads_to_its_target():
     assert shapes.exact_volume(grown) == pytest.approx(target, rel=1e-4)
 
 
+def test_rows_allow_for_what_a_like_step_changed_beyond_the_first_order():
+    """A ball told to grow by a tenth: its second try comes nearer by far than the first."""
+    ball, held = ball_and_set((Volume(target=1.1 * shapes.exact_volume(shapes.sphere(0.5))),))
+    space, start, curved = DeformationSpace(ball), held.measure(ball), ()
+    missed = []
+    for _ in range(2):
+        linear = held.linearised(ball, space, start, curved)
+        after = held.measure(ball.with_theta(ball.theta + linear.gap / linear.matrix[:, 0]))
+        missed.append(held.violation(after))
+        curved = held.beyond_first_order(after, curved)
+    beyond = (1 + 0.1 / 3) ** 3 - 1.1
+    assert missed[0] == pytest.approx(beyond / 1.1, rel=1e-3)
+    assert missed[1] == pytest.approx(1 - (1 + (0.1 - beyond) / 3) ** 3 / 1.1, rel=1e-2)
+    assert missed[1] < 0.1 * missed[0]
+
+
 @pytest.mark.parametrize(
     ("bound", "factor", "violation"),
     [
