@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
 from implicit.field.field import Field, SurfaceError
@@ -71,14 +72,15 @@ class FineMesh:
         Returns:
             None where the mesh is too coarse, or the points make no mesh of the surface.
         """
-        step = len(self.vertices) // (CANDIDATES * count)
-        if step < 1:
+        wanted = CANDIDATES * count
+        if len(self.vertices) < wanted:
             return None
-        candidates = torch.from_numpy(self.vertices[::step])
-        first = int(torch.randint(len(candidates), (1,), generator=torch.Generator().manual_seed(seed)))
-        order = farthest_order(candidates.roll(-first, dims=0).float(), count)
-        start = candidates.roll(-first, dims=0)[order].to(field.theta)
-        points, arrived = newton_to_surface(field, start, reach=field.size / 16)
+        some = torch.from_numpy(self.vertices[np.arange(wanted) * len(self.vertices) // wanted]).to(torch.float32)
+        first = int(torch.randint(wanted, (1,), generator=torch.Generator().manual_seed(seed)))
+        some = some.roll(-first, dims=0)
+        points = some[farthest_order(some, count)]
+        for precision in (field.to(torch.float32), field):  # the last of Newton's steps alone in the field's own
+            points, arrived = newton_to_surface(precision, points.to(precision.theta), reach=field.size / 16)
         if not bool(arrived.all()):
             return None
         sample = SurfaceSample(points, field.normal(points), torch.ones_like(points[:, 0]))

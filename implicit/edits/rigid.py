@@ -150,17 +150,18 @@ def rigid_edit(
         alpha: Weight of the handles' squared error against the strain energy, per squared length. Both energies are
             integrals over the surface. With finite rotations it holds where a handle's weight is below 1: where it is
             1 they hold the points just where they are told.
-        bending, thickness: Weights of the parts of E_K (see implicit.step.energies.Killing). Where second derivatives
-            of the field do not tell how its surface bends, E_K is taken on a mesh of the surface
-            (implicit.step.mesh_killing): its bending is that of spokes and rims at the default, and it has no
-            thickness. The paper's energy has
-            1 for both; what lies off the surface then costs as much as strain on it. The default leaves half the
-            tangential energy on the bundled cow, with the same handles.
+        bending, thickness: Weights of the parts of E_K (see implicit.step.energies.Killing). On a mesh of the points
+            `bending` weighs the bending of spokes and rims (implicit.step.mesh_killing), 1 as it does there. Where
+            second derivatives of the field do not tell how its surface bends, E_K is taken on a marched mesh of the
+            surface, whose bending is that of spokes and rims at the default, and it has no thickness. The paper's
+            energy has 1 for both, at the points; what lies off the surface then costs as much as strain on it. The
+            default leaves half the tangential energy on the bundled cow, with the same handles.
         tangential: Basis of the motion along the surface by linear steps. None leaves each point free, held by its
             neighbours on a mesh of the points; CosineFeatures(field) takes its place where these make no mesh of the
-            surface or their weights are no areas, where there is no room for the sensitivities of all parameters, for
-            other weights of E_K than a mesh has (`bending=0`, a thickness), and where second derivatives do not tell
-            how the surface bends. The `method` of the rows of `history` is "vertices" with points that are free.
+            surface or their weights are no areas, for more than 7500 points, where there is no room for the
+            sensitivities of all parameters, for other weights of E_K than a mesh has (`bending=0`, a thickness), and
+            where second derivatives do not tell how the surface bends. With points that are free, the rows of
+            `history` have the method "vertices".
         points: Number of points that carry the energies, spread as far apart as can be, or the sample itself. Finite
             rotations take a mesh of as many vertices, or 4000 if that is more.
         damping: Penalty on the squares of the unknowns, of the parameters alone where the points are free along the

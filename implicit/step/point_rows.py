@@ -18,6 +18,7 @@ from implicit.field.field import Field
 from implicit.sensitivity.boundary_sensitivity import parameter_gradient
 from implicit.sensitivity.closed_form import factors, fits
 from implicit.sensitivity.row_factors import RowFactors
+from implicit.step.equations import DENSE_LIMIT
 from implicit.step.symmetric import gram
 
 # Numbers of the rows at most that are made where they are not known by their factors.
@@ -89,5 +90,5 @@ class PointRows:
 
 
 def room_for_rows(field: Field, count: int) -> bool:
-    """Return whether so many rows of a field can be kept: by their factors, or as a matrix."""
-    return fits(field, count) or count * len(field.theta) <= MOST
+    """Return whether so many rows of a field can be kept, by their factors or as a matrix, and their products made."""
+    return count <= DENSE_LIMIT and (fits(field, count) or count * len(field.theta) <= MOST)

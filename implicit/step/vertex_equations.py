@@ -152,7 +152,7 @@ def _on_mesh(space: VertexMotion, energies: Iterable[MeshKilling | VectorTarget]
 
 def _rows(space: VertexMotion, targets: Iterable[FieldTarget]) -> PointRows:
     """Return S: the speeds of the vertices, then the targets of the field by the roots of their weights."""
-    lengths = space.field.gradient_length(space.field.gradient(space.points))
+    lengths = space.gradient_lengths
     points, own = [space.points], [-1 / lengths]
     tied, other = [lengths[:0]], [torch.zeros(0, dtype=torch.int64, device=lengths.device)]
     for target in targets:

@@ -46,9 +46,18 @@ class VertexMotion(DeformationSpace):
         self.size = self.parameters + 2 * len(points)
 
     @cached_property
+    def _gradients(self) -> Float[Tensor, "v 3"]:
+        return self.field.gradient(self.points)
+
+    @cached_property
+    def gradient_lengths(self) -> Float[Tensor, " v"]:
+        """|df/dx| at the vertices, in units of the field a length."""
+        return self.field.gradient_length(self._gradients)
+
+    @cached_property
     def axes(self) -> Float[Tensor, "v 3 3"]:
         """Rows: an orthonormal basis of the tangent plane at each vertex, then the field's normal."""
-        return axes_of(self.field.normal(self.points))
+        return axes_of(self._gradients / self.gradient_lengths[:, None])
 
     @cached_property
     def _tree(self) -> cKDTree:

@@ -69,7 +69,7 @@ def test_steps_turn_the_handles_along_their_path(sample):
 def test_energies_that_a_mesh_of_the_points_does_not_have_are_taken_at_the_points(sample, options):
     field, points = sample
     points = points.to(torch.float64)
-    few = replace(points, points=points.points[:300], normals=points.normals[:300], weights=points.weights[:300])
+    few = replace(points, points=points.points[:120], normals=points.normals[:120], weights=points.weights[:120])
     assert method_of(rigid_edit(field, WAYS, method="linear", points=few, **options)) != "vertices"
 
 

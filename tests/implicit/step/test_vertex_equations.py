@@ -140,7 +140,7 @@ def test_handles_that_turn_as_one_body_take_all_with_them_for_nothing():
 def test_a_piece_that_nothing_holds_stays():
     balls = [shapes.sphere(0.3, center=(side, 0.0, 0.0)) for side in (-0.5, 0.5)]
     field = shapes.smooth_union(*balls, blend=0.05)
-    points, faces = even_mesh(field, 300)
+    points, faces = even_mesh(field, 150)
     space = VertexMotion(field, points, faces.numpy())
     left = points[:, 0] < 0
     target = VectorTarget(points[left], torch.full_like(points[left], 0.01), torch.ones_like(points[left][:, 0]))
