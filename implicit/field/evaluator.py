@@ -14,6 +14,9 @@ from torch import Tensor, nn
 from implicit.field.forms import Form
 from implicit.field.frozen import Frozen
 
+# Numbers of a module up to which it is kept in each precision that is asked for.
+KEPT = 4_000_000
+
 
 @dataclass(frozen=True, eq=False)
 class Parameter:
@@ -143,10 +146,11 @@ def parametrised_by_code(
 class _InForm:
     """A function of theta and points that keeps the form in which they go in and values come out.
 
-    And itself in other precisions and on other devices, so that what is found of these, such as their closed form, is
-    found once.
+    A module of up to KEPT numbers keeps itself in other precisions and on other devices too, so that what is found of
+    these, such as their closed form, is found once.
     """
 
+    module: nn.Module | None
     _form: Form
 
     def in_form(self, form: Form) -> Self:
@@ -158,6 +162,9 @@ class _InForm:
 
     def to(self, dtype: torch.dtype | None, device: torch.device | str | None) -> Self:
         """Return the same function in another precision or on another device."""
+        size = KEPT + 1 if self.module is None else sum(part.numel() for part in self.module.parameters())
+        if size > KEPT:
+            return self._converted(dtype, device)
         others: dict[tuple[torch.dtype | None, str | None], Self] = self.__dict__.setdefault("_others", {})
         key = (dtype, None if device is None else str(device))
         if key not in others:
@@ -165,7 +172,7 @@ class _InForm:
         return others[key]
 
     def _converted(self, dtype: torch.dtype | None, device: torch.device | str | None) -> Self:
-        """Return what `to` keeps."""
+        """Return the same function in another precision or on another device, made anew."""
         raise TypeError(f"A {type(self).__name__} has no other precision.")
 
     @property
