@@ -217,7 +217,7 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
     edit = replace(
         edit,
         status=edit_status(end.status, reached=reached),
-        notes=(*notes, *own, *_strain_notes(end.history[0]), *end.notes),
+        notes=(*notes, *own, *_strain_notes(end.history[0], problem.warp), *end.notes),
         deformation=Deformation(start.field, start.rest, minimum.positions),
     )
     return with_evidence(edit, problem.field, before, problem.resolution, end.soundness)
@@ -843,11 +843,16 @@ def _unwound_note(highest: float, end: float) -> str:
     )
 
 
-def _strain_notes(row: Row) -> list[str]:
+def _strain_notes(row: Row, warp: bool) -> list[str]:
     """Return what to know of the strain between the field's surface and the points."""
     part = row["strain_left"] / row["energy"] if row["energy"] > 0 else 0.0
     if part <= RIPPLED:
         return []
+    if warp:
+        return [
+            f"The warp does not take the surface just where the points are: a strain of {part:.2g} times the energy of "
+            "the points is left. Move the handles less."
+        ]
     return [
         f"The field's surface ripples about where the points are, a strain of {part:.2g} times the energy of the "
         "points. A wider network follows better, and of shapes with planes and sharp edges one of softplus units; "
