@@ -363,7 +363,7 @@ class ConstraintSet:
             surface = meshed_quadrature(field, self.holding.resolution)
         else:
             surface = refined_quadrature(field, cells)
-        return self._on(field, surface)
+        return self._on(field, surface, cells)
 
     def measure_again(self, field: Field, before: Measurement, *, cells: int | None = None) -> Measurement:
         """Return what `measure` does of a field that has hardly changed since: its quadrature is carried along.
@@ -371,10 +371,12 @@ class ConstraintSet:
         Where the surface has moved too far for that it is meshed anew.
         """
         surface = carried(field, before.surface)
-        return self.measure(field, cells=cells) if surface is None else self._on(field, surface)
+        return self.measure(field, cells=cells) if surface is None else self._on(field, surface, cells)
 
-    def _on(self, field: Field, surface: MeshedSample) -> Measurement:
-        return Measurement(surface, tuple(c.value_on(field, surface) for c in self.functionals))
+    def _on(self, field: Field, surface: MeshedSample, cells: int | None) -> Measurement:
+        if cells is None:
+            return Measurement(surface, tuple(c.value_on(field, surface) for c in self.functionals))
+        return Measurement(surface, tuple(c.value(field, surface.sample) for c in self.functionals))
 
     def values(self, measured: Measurement | None) -> dict[str, float]:
         """Return the measured values by name; none where nothing was measured."""
