@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from implicit.arguments import counted
-from implicit.field.field import Field, SurfaceError
+from implicit.field.field import Field, SurfaceError, require_field
 from implicit.surface.extraction import marched_crossings, placed_crossings, require_resolution
 from implicit.surface.topology import Topology, mesh_topology, surface_topology, vertices_of_pieces
 
@@ -83,6 +83,7 @@ def soundness_on_mesh(field: Field, resolution: int = 48) -> tuple[Soundness, Fl
     Most vertices are where the lines of the lattice cross the surface by interpolation. What was found last of a field
     is kept with it, for edits that start from the field that another has ended with, or from the same field again.
     """
+    require_field(field)
     require_resolution("resolution", resolution)
     key = _Measured(resolution, field.theta.clone(), field.bounds.clone(), field.level, field.sign)
     known: list[tuple[_Measured, tuple[Soundness, FloatArray, IntArray]]] = field.findings.setdefault("soundness", [])
