@@ -242,8 +242,8 @@ ROWS: dict[str, Row] = {
         partial(of_network, "8 x 512 ReLU, weight norm, skip", "geometric_edit"),
         60.0,
         None,
-        "three parts; at 8 x 128, where they can be told apart, passes of the network for two looks and two samples are "
-        "two fifths and the products of the sensitivities a third. With both threads of the core it took 62 s",
+        "three parts; at 8 x 128, where they can be told apart, passes of the network for two looks and two samples "
+        "are two fifths and the products of the sensitivities a third. With both threads of the core it took 62 s",
     ),
 }
 
@@ -268,8 +268,8 @@ PROSE = """# The pace of edits
 
 Made by `python benchmarks/pace.py --write`: what each piece of work is to come to, and what it came to on this machine.
 *Beside* is the other side in the same run: the mesh's Killing least squares by the solver named, the mesh's flow at
-36,000 vertices, the published formula, dense evaluation with scikit-image. Of a machine that others share, as here, seconds
-vary by a third from hour to hour; ratios are of one run.
+36,000 vertices, the published formula, dense evaluation with scikit-image. Of a machine that others share, as here,
+seconds vary by a third from hour to hour; ratios are of one run.
 
 """
 
