@@ -7,9 +7,21 @@ import pytest
 import torch
 
 import meshref
-from implicit import Field, HalfSpace, Handle, RigidMotion, Volume, extract_mesh, integrate, rigid_edit, sample_surface
+from implicit import (
+    Field,
+    HalfSpace,
+    Handle,
+    RigidMotion,
+    Volume,
+    extract_mesh,
+    integrate,
+    rigid_edit,
+    sample_surface,
+    shapes,
+)
 from implicit.edits.connected_sample import FineMesh, connected
 from implicit.evolve.edit import EditStatus
+from implicit.sensitivity.pointwise_curvature import normal_turning
 from implicit.step.tangential_basis import CosineFeatures
 from implicit.surface.soundness import field_soundness, soundness_on_mesh
 from tests.implicit.conftest import Wobbly, seeded_siren
@@ -45,6 +57,17 @@ def test_the_energy_is_no_more_than_with_waves_along_the_surface(sample):
         missed.append(float(edit.error_field().nan_to_num().square().mean().sqrt()))
     assert energies[0] < 1.02 * energies[1]
     assert missed[0] < 1.1 * missed[1]
+
+
+@pytest.mark.parametrize(("rounding", "method"), [(0.0085, "vertices"), (0.003, "primal")])
+def test_edges_that_second_derivatives_half_explain_are_no_hindrance(rounding, method):
+    box = shapes.rounded_box((0.6, 0.2, 0.2), rounding)
+    points = sample_surface(box, 600, "farthest")
+    assert (normal_turning(box, points.points).explained > 0.5) == (method == "vertices")
+    assert not normal_turning(box, points.points).is_smooth
+    ends = [Handle(HalfSpace((side * 0.5, 0, 0), (side, 0, 0)), (0.01 * side, 0.0, 0.0)) for side in (-1.0, 1.0)]
+    edit = rigid_edit(box, ends, method="linear", points=points)
+    assert method_of(edit) == method
 
 
 @pytest.mark.nightly
