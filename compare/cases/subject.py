@@ -55,8 +55,8 @@ class Subject:
         return points * self.scale + np.asarray(self.field.units.offset)
 
 
-def volume_and_area(field: Field, resolution: int = 64) -> tuple[Integral, ...]:
-    """Return the two of a field's surface, by fourth-order quadrature on so many cells, with their errors."""
+def volume_and_area(field: Field) -> tuple[Integral, ...]:
+    """Return the two of a field's surface, by fourth-order quadrature, with their errors."""
     import implicit
 
-    return implicit.integrate(field, (implicit.Volume(), implicit.Area()), resolution)
+    return implicit.integrate(field, (implicit.Volume(), implicit.Area()))

@@ -98,7 +98,7 @@ class Asked:
     is_distance: bool
     area: float | None = None
 
-    @property
+    @cached_property
     def held(self) -> tuple[tuple[EnclosedVolume | EnclosedArea | SurfaceArea, float], ...]:
         """Functionals that are held, and the value of each."""
         faces, count = self.rest.energy.faces, len(self.rest.energy.vertices)

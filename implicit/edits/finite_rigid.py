@@ -36,7 +36,7 @@ from implicit.evolve.trial import StepRefused
 from implicit.field.field import Field, SurfaceError
 from implicit.fitting.follow import FOLLOWED, Follower, Following, is_distance
 from implicit.fitting.training import FitStatus
-from implicit.fitting.warping import Back, all_parameters
+from implicit.fitting.warping import Back, all_parameters, require_module
 from implicit.sensitivity.moved_as_a_whole import moved_as_a_whole
 from implicit.sensitivity.shape_functionals import Area, Functional, Volume
 from implicit.sensitivity.weak_curvature import FloatArray
@@ -178,6 +178,8 @@ def finite_rigid_edit(problem: FiniteProblem, before: Soundness, notes: Sequence
     tell, start = _Teller(problem.progress), problem.start
     if problem.coupled is not None:
         return _coupled_edit(problem, problem.coupled, before, notes, began)
+    if problem.warp:
+        require_module(start.field)
     own: list[str] = []
 
     def untouched(status: EditStatus, *words: str) -> Edit:
@@ -441,10 +443,7 @@ def _area(problem: FiniteProblem, start: Deformation) -> float | None:
     for functional in problem.constraints:
         if type(functional) is Area and functional.bound == "equal" and problem.field.dimension == 3:
             own = SurfaceArea(start.rest.energy.faces, len(start.positions)).value(start.positions)
-            if functional.target is None:
-                return own
-            measured = ConstraintSet.of(problem.precise, [Area()], Holding(resolution=problem.resolution)).targets[0]
-            return own * functional.target / measured
+            return _as_the_mesh_measures(problem, own, Area(), functional.target)
     return None
 
 
@@ -453,12 +452,19 @@ def _volume(problem: FiniteProblem, start: Deformation) -> tuple[float | None, s
     for functional in problem.constraints:
         if type(functional) is Volume:
             own = start.rest.volume.value(start.positions)
-            if functional.target is None:
-                return own, functional.bound
-            # The mesh lies within its surface: what it encloses is in proportion.
-            measured = ConstraintSet.of(problem.precise, [Volume()], Holding(resolution=problem.resolution)).targets[0]
-            return own * functional.target / measured, functional.bound
+            return _as_the_mesh_measures(problem, own, Volume(), functional.target), functional.bound
     return None, "equal"
+
+
+def _as_the_mesh_measures(problem: FiniteProblem, own: float, functional: Functional, target: float | None) -> float:
+    """Return what the mesh is to measure for a target, from what it measures now; None is to keep that.
+
+    The mesh lies within its surface: what it measures is in proportion.
+    """
+    if target is None:
+        return own
+    measured = ConstraintSet.of(problem.precise, [functional], Holding(resolution=problem.resolution)).targets[0]
+    return own * target / measured
 
 
 def turning(targets: AveragedTargets) -> float:

@@ -270,9 +270,10 @@ def _operation(
     if mesh is not None and isinstance(points, int):
         spread = mesh.spread(precise, points, settings.seed)
     operation = prepare(precise, handles, settings, tangential, points if spread is None else spread[0])
-    cells = _mesh_cells(precise, operation.sample, settings)
+    turning = normal_turning(precise, operation.sample.points)
+    cells = None if turning.is_smooth else _mesh_cells(precise, operation.sample, settings)
     faces = None
-    if mesh is not None and (cells is None or normal_turning(precise, operation.sample.points).explained >= MOSTLY):
+    if mesh is not None and (turning.is_smooth or turning.explained >= MOSTLY):
         faces = connected(precise, operation.sample, mesh) if spread is None else spread[1]
     return replace(operation, mesh_cells=cells) if faces is None else replace(operation, faces=faces)
 
@@ -413,10 +414,8 @@ def placement(sample: SurfaceSample, targets: AveragedTargets, fraction: float) 
     return Placement.fitting(sample.points[held], targets.positions(fraction)[held], weights)
 
 
-def _mesh_cells(field: Field, sample: SurfaceSample, settings: RigidSettings) -> int | None:
-    """Return the cells of a mesh with about as many vertices as the sample has points, None where none is needed."""
-    if normal_turning(field, sample.points).is_smooth:
-        return None
+def _mesh_cells(field: Field, sample: SurfaceSample, settings: RigidSettings) -> int:
+    """Return the cells of a mesh with about as many vertices as the sample has points, of a field that needs one."""
     if settings.thickness > 0:
         raise ValueError(
             f"thickness must be 0 for this field, but is {settings.thickness}: it weighs the stretch across the "

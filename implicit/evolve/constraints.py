@@ -34,6 +34,7 @@ from implicit.step.least_squares import LeastSquares, Rows, Solution
 from implicit.surface.extraction import require_resolution
 from implicit.surface.quadrature import MeshedSample, SurfaceSample, carried, meshed_quadrature
 from implicit.surface.refined_quadrature import refined_quadrature
+from implicit.surface.sampling import one_a_strip
 
 Enforce = Literal["rows", "projection", "penalty"]
 
@@ -583,8 +584,7 @@ def _steering(sample: SurfaceSample) -> SurfaceSample:
     if len(sample) <= 2 * STEERING_POINTS:
         return sample
     # One from each of many strips of equal area: cells come in the order in which the grid was gone over.
-    amounts = sample.weights.double().cumsum(0)
-    strip = amounts[-1] / STEERING_POINTS
-    middles = (torch.arange(STEERING_POINTS, device=amounts.device) + 0.5) * strip
-    chosen = torch.searchsorted(amounts, middles).clamp(max=len(amounts) - 1)
-    return SurfaceSample(sample.points[chosen], sample.normals[chosen], strip.to(sample.weights).expand(len(chosen)))
+    amounts = sample.weights.double()
+    chosen = one_a_strip(amounts, amounts.new_full((STEERING_POINTS,), 0.5))
+    equal = (amounts.sum() / STEERING_POINTS).to(sample.weights).expand(STEERING_POINTS)
+    return SurfaceSample(sample.points[chosen], sample.normals[chosen], equal)

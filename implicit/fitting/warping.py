@@ -24,6 +24,7 @@ import numpy as np
 import torch
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import cKDTree
+from torch import nn
 
 from implicit.field.field import Field
 from implicit.models.warp import Warp
@@ -48,6 +49,20 @@ EACH = 1500
 # point weighs a quarter of one near the surface, over the size, the least weight, and how firmly the maps are tied to
 # the rotations, relative to the mean diagonal of the normal matrix.
 NEAR, OF_VERTICES, HALF, LEAST, TIED = 0.04, 4.0, 0.01, 0.01, 1e-6
+
+
+def require_module(field: Field) -> nn.Module:
+    """Return the module of a field, or refuse one whose space cannot be warped.
+
+    Raises:
+        ValueError: It has none of its own, or takes a code.
+    """
+    if field.module is None or field.takes_code:
+        raise ValueError(
+            'method="warp" needs a field of a module, whose values are those of the places that space is warped '
+            'to, but this one is of a decoder with its code. Take method="finite".'
+        )
+    return field.module
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,12 +98,7 @@ class Back:
             seed: Of the points off the surface.
         """
         precise = field.to(torch.float64)
-        module = precise.module
-        if module is None or precise.takes_code:
-            raise ValueError(
-                'method="warp" needs a field of a module, whose values are those of the places that space is warped '
-                'to, but this one is of a decoder with its code. Take method="finite".'
-            )
+        module = require_module(precise)
         chosen = self._centres[0]
         D = precise.dimension
         form = getattr(precise._evaluator, "form", None)
@@ -100,15 +110,7 @@ class Back:
             warp.bounds.copy_(precise.bounds)
             warp.maps.copy_(torch.from_numpy(maps))
             warp.maps.copy_(torch.from_numpy(self._fitted(warp, maps, precise, seed)))
-        return Field(
-            warp,
-            parameters=["maps"],
-            level=precise.level,
-            inside=precise.inside,
-            bounds=_corners(precise),
-            units=precise.units,
-            check=False,
-        )
+        return _with_parameters(warp, ["maps"], precise)
 
     @property
     def missed(self) -> float:
@@ -189,18 +191,18 @@ def all_parameters(warped: Field, field: Field) -> Field:
     """
     module = warped.module
     assert module is not None
-    names = ["maps", *(f"base.{block.name}" for block in field.layout)]
+    return _with_parameters(module, ["maps", *(f"base.{block.name}" for block in field.layout)], warped)
+
+
+def _with_parameters(module: nn.Module, names: list[str], like: Field) -> Field:
+    """Return the field of a module with some of its parameters, in all else like another field."""
+    low, high = like.bounds.tolist()
     return Field(
         module,
         parameters=names,
-        level=warped.level,
-        inside=warped.inside,
-        bounds=_corners(warped),
-        units=warped.units,
+        level=like.level,
+        inside=like.inside,
+        bounds=(low, high),
+        units=like.units,
         check=False,
     )
-
-
-def _corners(field: Field) -> tuple[list[float], list[float]]:
-    low, high = field.bounds.tolist()
-    return low, high

@@ -254,10 +254,7 @@ def cell_points(
         nodes: As curved_cells gives them.
         at: The last barycentric coordinates of each point: two in a triangle, one in a segment.
     """
-    if nodes.shape[2] == 2:
-        shape, slopes = _segment_shapes(at[:, 0])
-    else:
-        shape, slopes = _triangle_shapes(1 - at.sum(dim=1), at[:, 0], at[:, 1])
+    shape, slopes = _shapes(at)
     points = torch.einsum("mk,mkd->md", shape, nodes)
     tangents = torch.einsum("mkt,mkd->mtd", slopes, nodes)
     return points, _across(tangents)
@@ -270,14 +267,18 @@ def cell_elements(nodes: Float[Tensor, "m k d"], at: Float[Tensor, "q t"]) -> Fl
         nodes: As curved_cells gives them.
         at: The last barycentric coordinates of each place: two in a triangle, one in a segment.
     """
-    if nodes.shape[2] == 2:
-        _, slopes = _segment_shapes(at[:, 0])
-    else:
-        _, slopes = _triangle_shapes(1 - at.sum(dim=1), at[:, 0], at[:, 1])
+    _, slopes = _shapes(at)
     count, k, dimension = nodes.shape
     # One product of matrices for all places and cells.
     tangents = slopes.transpose(1, 2).reshape(-1, k) @ nodes.transpose(0, 1).reshape(k, -1)
     return _across(tangents.view(len(at), -1, count, dimension).transpose(1, 2)).norm(dim=-1)
+
+
+def _shapes(at: Float[Tensor, "q t"]) -> tuple[Float[Tensor, "q k"], Float[Tensor, "q k t"]]:
+    """Return the shape functions of a quadratic cell and their slopes at its last barycentric coordinates."""
+    if at.shape[1] == 1:
+        return _segment_shapes(at[:, 0])
+    return _triangle_shapes(1 - at.sum(dim=1), at[:, 0], at[:, 1])
 
 
 def placed(field: Field, sample: SurfaceSample, reach: float) -> SurfaceSample:

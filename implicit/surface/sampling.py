@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Literal
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -108,7 +108,7 @@ def sample_surface(
     amount = area * dense  # points in each cell, up to a factor
     total = amount.sum()
     if method == "stratified":
-        chosen = _one_a_strip(amount, n, generator)
+        chosen = one_a_strip(amount, _random(n, amount, generator))
     else:
         chosen = torch.multinomial(amount.double().cpu(), n, replacement=True, generator=generator).to(field.device)
     points, normals = torch.empty(2, n, field.dimension, dtype=field.dtype, device=field.device)
@@ -194,14 +194,24 @@ def subsample(field: Field, sample: SurfaceSample, n: int, *, seed: int = 0) -> 
     if (working := in_working_precision(field)) is not field:
         return subsample(working, sample.to(working.dtype), n, seed=seed).to(field.dtype)
     order = _space_filling_order(sample.points, field)
-    chosen = order[_one_a_strip(sample.weights[order], n, torch.Generator().manual_seed(seed))]
+    amounts = sample.weights[order]
+    chosen = order[one_a_strip(amounts, _random(n, amounts, torch.Generator().manual_seed(seed)))]
     equal = (sample.weights.sum() / n).expand(n).clone()
     return placed(field, SurfaceSample(sample.points[chosen], sample.normals[chosen], equal), field.size / 16)
 
 
-def _one_a_strip(amounts: Float[Tensor, " m"], n: int, generator: torch.Generator) -> Tensor:
-    """Return the index of the amount, all laid end to end, at a random place in each of n strips of equal length."""
-    within = torch.rand(n, generator=generator, dtype=torch.float64).to(amounts)
+def _random(n: int, like: Tensor, generator: torch.Generator) -> Float[Tensor, " n"]:
+    return torch.rand(n, generator=generator, dtype=torch.float64).to(like)
+
+
+def one_a_strip(amounts: Float[Tensor, " m"], within: Float[Tensor, " n"]) -> Int[Tensor, " n"]:
+    """Return the index of the amount, all laid end to end, at a place in each of n strips of equal length.
+
+    Args:
+        amounts: Not negative.
+        within: Where in its strip, from 0 to 1.
+    """
+    n = len(within)
     place = (torch.arange(n, device=amounts.device) + within) * (amounts.sum() / n)
     return torch.searchsorted(amounts.cumsum(0), place).clamp(max=len(amounts) - 1)
 

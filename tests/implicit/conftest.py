@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from implicit import Field, Siren, fit_field
+from implicit import Field, HalfSpace, Handle, RigidMotion, Siren, fit_field
 from implicit.shapes import bundled, capsule
 
 
@@ -158,6 +158,16 @@ def relu_torus() -> Field:
         return ((points[:, :2].norm(dim=1) - 0.55).square() + points[:, 2].square()).sqrt() - 0.25
 
     return Field(relu_network(distance))
+
+
+# The ends of the rod, and the motion of the upper one by which its axis between them, 0.8 long, becomes an arc of so
+# many radians.
+FOOT = Handle(HalfSpace((0, -0.4, 0), (0, -1, 0)), (0.0, 0.0, 0.0))
+TIP = HalfSpace((0, 0.4, 0), (0, 1, 0))
+ANGLE = math.pi / 4
+RADIUS = 0.8 / ANGLE
+ARRIVED = (RADIUS * (1 - math.cos(ANGLE)), RADIUS * math.sin(ANGLE) - 0.8, 0.0)
+BEND = RigidMotion(rotation=(0, 0, -ANGLE), center=(0, 0.4, 0), translation=ARRIVED)
 
 
 @pytest.fixture(scope="session")

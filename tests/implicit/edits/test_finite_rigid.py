@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from implicit import (
-    HalfSpace,
     Handle,
     RigidMotion,
     Volume,
@@ -27,14 +26,7 @@ from implicit.evolve.edit import EditStatus, reached_target
 from implicit.sensitivity.weak_curvature import WeakSurface
 from implicit.step.spokes_and_rims import SpokesAndRims
 from implicit.step.tangential_basis import CosineFeatures
-
-FOOT = Handle(HalfSpace((0, -0.4, 0), (0, -1, 0)), (0.0, 0.0, 0.0))
-TIP = HalfSpace((0, 0.4, 0), (0, 1, 0))
-# The axis between the handles, 0.8 long, becomes an arc of so many radians.
-ANGLE = math.pi / 4
-RADIUS = 0.8 / ANGLE
-ARRIVED = (RADIUS * (1 - math.cos(ANGLE)), RADIUS * math.sin(ANGLE) - 0.8, 0)
-BEND = RigidMotion(rotation=(0, 0, -ANGLE), center=(0, 0.4, 0), translation=ARRIVED)
+from tests.implicit.conftest import BEND, FOOT, RADIUS, TIP
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -28,16 +28,7 @@ from implicit.models.warp import Warp
 from implicit.step.enclosed_volume import EnclosedVolume
 from implicit.step.spokes_and_rims import SpokesAndRims
 from implicit.step.surface_area import SurfaceArea
-
-FOOT = Handle(HalfSpace((0, -0.4, 0), (0, -1, 0)), (0.0, 0.0, 0.0))
-TIP = HalfSpace((0, 0.4, 0), (0, 1, 0))
-ANGLE = math.pi / 4
-RADIUS = 0.8 / ANGLE
-BEND = RigidMotion(
-    rotation=(0, 0, -ANGLE),
-    center=(0, 0.4, 0),
-    translation=(RADIUS * (1 - math.cos(ANGLE)), RADIUS * math.sin(ANGLE) - 0.8, 0),
-)
+from tests.implicit.conftest import ANGLE, BEND, FOOT, TIP
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -140,7 +131,8 @@ def test_volume_and_area_are_held_by_the_points_and_then_by_the_field(rod):
         assert after == pytest.approx(before, rel=1e-5)
 
 
-def test_a_decoder_with_its_code_is_refused():
+def test_a_decoder_with_its_code_is_refused_before_any_work(monkeypatch):
+    monkeypatch.setattr(finite_rigid, "_points", lambda *_: pytest.fail("The points were sought."))
     code = torch.tensor([0.5])
     ball = decoder_field(lambda points, r: points.norm(dim=1) - r, code)
     handles = [
